@@ -1,0 +1,48 @@
+//! What there is to render, as plain data: the value between every file format and the tracer.
+//!
+//! A `Scene` says nothing of how it is rendered (size, samples, integrator: [`crate::settings::Settings`]) nor of how it is
+//! traced (hierarchies, light tables: [`crate::world::World`]). References are indices. Geometry is in world space,
+//! transformed in f64 and moved so that [`Scene::origin`] is the zero of its f32 coordinates.
+
+mod blobs;
+mod bsdf;
+mod emitter;
+mod sensor;
+mod shape;
+mod texture;
+mod validate;
+
+pub use blobs::{BlobError, Digest, SceneBlobs};
+pub use bsdf::{Bsdf, BsdfId};
+pub use emitter::Emitter;
+pub use sensor::{FovAxis, Sensor};
+pub use shape::{Geometry, Mesh, MeshId, Shape};
+pub use texture::{FilterType, Image, ImageId, Texels, Texture, TextureId, WrapMode};
+pub use validate::SceneError;
+
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// A whole scene. Every index in it is in range and every number finite once [`Scene::validate`] has passed; loaders and
+/// the wire call it, nothing behind them checks again.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scene {
+    /// Where the pictures are taken from.
+    pub sensor: Sensor,
+    /// Everything that a ray can hit.
+    pub shapes: Vec<Shape>,
+    /// How surfaces scatter; shapes and other BSDFs refer to them.
+    pub bsdfs: Vec<Bsdf>,
+    /// Colours over surfaces; BSDFs and emitters refer to them.
+    pub textures: Vec<Texture>,
+    /// Lights that are not surfaces. (A shape that emits carries its radiance itself.)
+    pub emitters: Vec<Emitter>,
+    /// Triangle meshes, the bulk of most scenes. They travel as blobs of their own.
+    #[serde(skip)]
+    pub meshes: Vec<Arc<Mesh>>,
+    /// Decoded images, likewise.
+    #[serde(skip)]
+    pub images: Vec<Arc<Image>>,
+    /// The point of the file's world space, in its units, that lies at the zero of this scene's coordinates.
+    pub origin: [f64; 3],
+}

@@ -1,0 +1,39 @@
+//! Cameras.
+
+use glam::Affine3;
+use serde::{Deserialize, Serialize};
+
+/// A camera: where it stands and how wide it sees. Film size is a setting ([`crate::settings::Film`]).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Sensor {
+    /// A pinhole that looks along +z of its own space, x to the left of the picture, y up, as Mitsuba's `perspective`.
+    Perspective {
+        /// Camera space to scene coordinates; a scale in it is removed from the directions, as in Mitsuba.
+        to_world: Affine3,
+        /// Field of view in degrees, along `fov_axis`.
+        fov_degrees: f32,
+        /// What the field of view measures.
+        fov_axis: FovAxis,
+        /// Shift of the principal point, as fractions of the film's width and height.
+        principal_point_offset: [f32; 2],
+        /// Surfaces nearer than this along the camera's axis are not seen.
+        near_clip: f32,
+        /// Surfaces farther than this along the camera's axis are not seen.
+        far_clip: f32,
+    },
+}
+
+/// The extent of the film that a field of view spans.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FovAxis {
+    /// The width.
+    X,
+    /// The height.
+    Y,
+    /// The diagonal.
+    Diagonal,
+    /// The smaller of width and height.
+    Smaller,
+    /// The larger of them.
+    Larger,
+}
