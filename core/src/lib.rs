@@ -11,3 +11,5 @@
 pub mod film;
 pub mod scene;
 pub mod settings;
+pub mod trace;
+pub mod world;

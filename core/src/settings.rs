@@ -136,3 +136,70 @@ pub enum SamplerKind {
     /// Owen-scrambled Sobol' points by hashing, padded (Burley 2020).
     Sobol,
 }
+
+/// Settings outside their ranges.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SettingsError {
+    /// A side of zero pixels or beyond [`FILM_SIDE_MAX`].
+    #[error("the film is {0}×{1} pixels; each side must have 1 to 65536")]
+    FilmSize(u32, u32),
+    /// A crop window that is empty or not within the film.
+    #[error("the crop window {0:?} is empty or not within the film")]
+    Crop(Window),
+    /// Fewer than one sample a pixel.
+    #[error("0 samples a pixel make no picture; ask for at least 1")]
+    NoSamples,
+    /// A depth that sees nothing.
+    #[error("a maximum depth of 0 sees nothing; 1 sees emitters, 2 direct light, leave it out for all light")]
+    NoDepth,
+    /// A filter without extent, or wider than the film may be.
+    #[error("the pixel filter's radius is {0} pixels; it must lie above 0 and be at most 16")]
+    FilterRadius(f32),
+    /// A fixed-point scale that no radiance needs.
+    #[error("the film's scale exponent {0} is out of range")]
+    Scale(i32),
+}
+
+/// The widest pixel filter: beyond it a radius is taken for a mistake.
+const FILTER_RADIUS_MAX: f32 = 16.0;
+/// f32 spans 2^-149 to 2^128; a scale beyond twice that holds no radiance.
+const SCALE_EXPONENT_MAX: i32 = 512;
+
+impl Settings {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// The first value out of range.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        let Film { width, height, crop, filter } = &self.film;
+        let side = 1..=FILM_SIDE_MAX;
+        let radius = filter.radius();
+        let whole = Window { x0: 0, y0: 0, x1: *width, y1: *height };
+        if !side.contains(width) || !side.contains(height) {
+            Err(SettingsError::FilmSize(*width, *height))
+        } else if crop.x0 >= crop.x1 || crop.y0 >= crop.y1 || !whole.contains(crop) {
+            Err(SettingsError::Crop(*crop))
+        } else if self.spp == 0 {
+            Err(SettingsError::NoSamples)
+        } else if self.integrator.max_depth == Some(0) {
+            Err(SettingsError::NoDepth)
+        } else if !(radius > 0.0 && radius <= FILTER_RADIUS_MAX) {
+            Err(SettingsError::FilterRadius(radius))
+        } else if self.scale_exponent.abs() > SCALE_EXPONENT_MAX {
+            Err(SettingsError::Scale(self.scale_exponent))
+        } else {
+            Ok(())
+        }
+    }
+}
+
+impl Filter {
+    /// Distance from the centre beyond which the filter is zero, along each axis, in pixels.
+    pub fn radius(&self) -> f32 {
+        match self {
+            Filter::Box => 0.5,
+            Filter::Tent { radius } => *radius,
+            Filter::Gaussian { stddev } => 4.0 * stddev,
+        }
+    }
+}
