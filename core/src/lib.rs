@@ -8,6 +8,7 @@
 //! A unit of work is a pure function of (scene, settings, tile, sample range). Nothing here reads a clock, a thread
 //! number or a global; nothing here knows of networks, processes or the command line, and nothing prints.
 
+pub mod bvh;
 pub mod film;
 pub mod scene;
 pub mod settings;

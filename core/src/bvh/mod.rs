@@ -1,0 +1,147 @@
+//! Ray against geometry: a hierarchy of boxes eight wide, and triangles in it.
+//!
+//! [`Bvh8`] is the hierarchy and its traversals, generic over what the leaves hold ([`Leaves`]); [`TriangleBvh`] puts triangles
+//! there. [`simd`] holds the vectors. All paths of [`simd::Isa`] give the same bits, and the hit that is found does not
+//! depend on the shape of the tree: the nearest, and of hits at the same `t` that of the smallest triangle number.
+//!
+//! Nothing here knows of shapes, materials or meshes: triangles are numbers with three vertices.
+
+mod aabb;
+mod build;
+mod node;
+pub mod simd;
+#[cfg(test)]
+mod tests;
+mod traverse;
+mod triangle;
+
+pub use aabb::Aabb;
+pub use build::{Built, LeafCost};
+pub use node::{Bvh8, Child, Leaf, Node};
+pub use traverse::{Leaves, Ray};
+pub use triangle::triangle_bounds;
+
+use glam::Vec3;
+use simd::{Kernel, Lanes};
+use triangle::{BLOCK, Block, Blocks};
+
+/// Where a ray meets a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TriangleHit {
+    /// The hit is at `origin + t * direction`; above 0.
+    pub t: f32,
+    /// The barycentric weight of vertex 1.
+    pub u: f32,
+    /// The barycentric weight of vertex 2; vertex 0 has `1 - u - v`.
+    pub v: f32,
+    /// The triangle's number.
+    pub triangle: u32,
+}
+
+/// A hierarchy over triangles, with its own copy of their positions.
+#[derive(Clone, Debug)]
+pub struct TriangleBvh {
+    bvh: Bvh8,
+    blocks: Vec<Block>,
+}
+
+/// What a visit of a block costs, in visits of a node; measured.
+const LEAF_COST: LeafCost = LeafCost { max_count: 2 * BLOCK as u32, block: BLOCK as u32, block_cost: 1.0 };
+
+impl TriangleBvh {
+    /// Builds the hierarchy over triangles 0 to `count - 1`, on the current rayon pool.
+    ///
+    /// `vertices` gives the three vertices of a triangle, finite and not all on one line, and is asked twice for each.
+    /// The same triangles give the same tree on any number of threads. At most 2^28 triangles.
+    pub fn build(count: u32, vertices: impl Fn(u32) -> [Vec3; 3]) -> Self {
+        let boxes: Vec<Aabb> = (0..count).map(|i| triangle_bounds(vertices(i))).collect();
+        let Built { mut bvh, order } = Built::new(&boxes, LEAF_COST);
+        drop(boxes);
+        let mut blocks = Vec::with_capacity(order.len() / 2);
+        for node in &mut bvh.nodes {
+            let slots: Vec<usize> = node.occupied().collect();
+            for slot in slots {
+                if let Some(leaf) = node.children[slot].as_leaf() {
+                    let first = blocks.len();
+                    let triangles = &order[leaf.first as usize..][..leaf.count as usize];
+                    blocks.extend(
+                        triangles.chunks(BLOCK).map(|chunk| Block::new(chunk.iter().map(|&i| (i, vertices(i))))),
+                    );
+                    node.children[slot] =
+                        Child::leaf(Leaf { first: first as u32, count: (blocks.len() - first) as u32 });
+                }
+            }
+        }
+        blocks.shrink_to_fit();
+        Self { bvh, blocks }
+    }
+
+    /// The nearest hit with `0 < t <= ray.t_max`, on either side of a triangle.
+    #[inline]
+    pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<TriangleHit> {
+        lanes.run(Closest { mesh: self, ray })
+    }
+
+    /// Whether there is a hit with `0 < t <= ray.t_max`.
+    #[inline]
+    pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
+        lanes.run(Occluded { mesh: self, ray })
+    }
+
+    /// Size and quality.
+    pub fn stats(&self) -> Stats {
+        let (nodes, node_bytes) = self.bvh.size();
+        Stats {
+            nodes,
+            blocks: self.blocks.len(),
+            bytes: node_bytes + size_of_val(self.blocks.as_slice()),
+            sah_cost: self.bvh.sah_cost(1.0, |leaf| leaf.count as f32 * LEAF_COST.block_cost),
+        }
+    }
+}
+
+/// Size and quality of a hierarchy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stats {
+    /// How many nodes.
+    pub nodes: usize,
+    /// How many blocks of triangles.
+    pub blocks: usize,
+    /// What both take in memory.
+    pub bytes: usize,
+    /// The surface area heuristic: the cost of an average ray, in visits of a node.
+    pub sah_cost: f32,
+}
+
+/// [`TriangleBvh::closest`] as compiled for a path.
+struct Closest<'a> {
+    mesh: &'a TriangleBvh,
+    ray: &'a Ray,
+}
+
+impl Kernel for Closest<'_> {
+    type Output = Option<TriangleHit>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) -> Self::Output {
+        let mut blocks = Blocks::new(lanes, self.ray, &self.mesh.blocks);
+        self.mesh.bvh.nearest(lanes, self.ray, &mut blocks);
+        blocks.nearest.hit()
+    }
+}
+
+/// [`TriangleBvh::occluded`] as compiled for a path.
+struct Occluded<'a> {
+    mesh: &'a TriangleBvh,
+    ray: &'a Ray,
+}
+
+impl Kernel for Occluded<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) -> Self::Output {
+        let mut blocks = Blocks::new(lanes, self.ray, &self.mesh.blocks);
+        self.mesh.bvh.any(lanes, self.ray, &mut blocks)
+    }
+}

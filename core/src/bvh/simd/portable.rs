@@ -1,0 +1,82 @@
+//! The path for any processor: arrays, which compilers turn into whatever vectors there are.
+
+use super::{Floats, Kernel, Lanes};
+use std::array;
+
+/// The token of plain arrays; always at hand.
+#[derive(Clone, Copy, Debug)]
+pub struct Portable;
+
+/// `N` floats, aligned like the vector they stand for.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(16))]
+pub struct Array<const N: usize>([f32; N]);
+
+#[inline(always)]
+fn zip<const N: usize>(a: Array<N>, b: Array<N>, f: impl Fn(f32, f32) -> f32) -> Array<N> {
+    Array(array::from_fn(|i| f(a.0[i], b.0[i])))
+}
+
+#[inline(always)]
+fn bits<const N: usize>(a: Array<N>, b: Array<N>, f: impl Fn(f32, f32) -> bool) -> u32 {
+    (0..N).fold(0, |mask, i| mask | u32::from(f(a.0[i], b.0[i])) << i)
+}
+
+impl<const N: usize> Floats<N> for Array<N> {
+    type Token = Portable;
+
+    #[inline(always)]
+    fn splat(_: Portable, x: f32) -> Self {
+        Array([x; N])
+    }
+    #[inline(always)]
+    fn load(_: Portable, row: &[f32; N]) -> Self {
+        Array(*row)
+    }
+    #[inline(always)]
+    fn store(self) -> [f32; N] {
+        self.0
+    }
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        zip(self, other, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        zip(self, other, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        zip(self, other, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        zip(self, other, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        zip(self, other, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        zip(self, other, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn le(self, other: Self) -> u32 {
+        bits(self, other, |a, b| a <= b)
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> u32 {
+        bits(self, other, |a, b| a < b)
+    }
+}
+
+impl Lanes for Portable {
+    type X8 = Array<8>;
+    type X4 = Array<4>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        kernel.run(self)
+    }
+}

@@ -1,0 +1,237 @@
+//! Triangles in blocks of four, tested at once: watertight after Woop, Benthin & Wald 2013.
+//!
+//! The ray is sheared onto the axis where it is longest. The sign of an edge function `a*b - c*d` of two rounded
+//! products is never wrong, only possibly zero, and zero counts as inside, so no ray passes between triangles that share
+//! an edge. A hit counts only where the ray passes the triangle's own box ([`triangle_bounds`]), and is no nearer than the entry
+//! into it; both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
+
+use super::node::Leaf;
+use super::simd::{Floats, Lanes};
+use super::traverse::{Leaves, Ray, Reciprocals};
+use super::{Aabb, TriangleHit};
+use glam::Vec3;
+
+/// The triangles of a block.
+pub const BLOCK: usize = 4;
+
+/// Up to four triangles. The vertices of unused lanes are NaN, which no test passes.
+#[derive(Clone, Debug)]
+#[repr(C, align(32))]
+pub struct Block {
+    /// `rows[axis][vertex][lane]`: the ray's choice of axes is a choice of rows.
+    rows: [[[f32; BLOCK]; 3]; 3],
+    /// The triangles' own numbers.
+    ids: [u32; BLOCK],
+}
+
+impl Block {
+    /// Of at most four triangles, each its number and vertices.
+    pub fn new(triangles: impl Iterator<Item = (u32, [Vec3; 3])>) -> Self {
+        let mut block = Block { rows: [[[f32::NAN; BLOCK]; 3]; 3], ids: [u32::MAX; BLOCK] };
+        for (lane, (id, vertices)) in triangles.take(BLOCK).enumerate() {
+            block.ids[lane] = id;
+            for (axis, rows) in block.rows.iter_mut().enumerate() {
+                for (row, vertex) in rows.iter_mut().zip(vertices) {
+                    row[lane] = vertex[axis];
+                }
+            }
+        }
+        block
+    }
+
+    /// The numbers of the block's triangles.
+    #[cfg(test)]
+    pub fn ids(&self) -> [u32; BLOCK] {
+        self.ids
+    }
+}
+
+/// The shear moves a vertex by up to its distance along the ray times this, relative to the triangle's extent.
+const EXTENT_PAD: f32 = 4.0 / (1 << 24) as f32;
+/// One step of f32 at the vertex itself.
+const VERTEX_PAD: f32 = 2.0 / (1 << 24) as f32;
+
+/// The box of a triangle, padded so that a ray which passes the triangle up to rounding passes the box.
+pub fn triangle_bounds(vertices: [Vec3; 3]) -> Aabb {
+    let [a, b, c] = vertices;
+    let tight = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
+    let size = tight.max - tight.min;
+    let extent = size.x.max(size.y).max(size.z) * EXTENT_PAD;
+    let pad = |side: f32| extent + side.abs() * VERTEX_PAD;
+    Aabb {
+        min: Vec3::from_array(tight.min.to_array().map(|side| side - pad(side))),
+        max: Vec3::from_array(tight.max.to_array().map(|side| side + pad(side))),
+    }
+}
+
+/// The nearest hit of one ray so far, its barycentrics not yet divided.
+#[derive(Clone, Copy)]
+pub struct Nearest {
+    t: f32,
+    v: f32,
+    w: f32,
+    det: f32,
+    triangle: u32,
+}
+
+impl Nearest {
+    /// The hit; none where nothing was found.
+    #[inline(always)]
+    pub fn hit(&self) -> Option<TriangleHit> {
+        (self.triangle != u32::MAX).then(|| TriangleHit {
+            t: self.t,
+            u: self.v / self.det,
+            v: self.w / self.det,
+            triangle: self.triangle,
+        })
+    }
+}
+
+/// A ray against the blocks of a mesh.
+pub struct Blocks<'a, L: Lanes> {
+    blocks: &'a [Block],
+    /// The axes, the one where the ray is longest last.
+    axes: [usize; 3],
+    origin: [L::X4; 3],
+    shear: [L::X4; 2],
+    scale: L::X4,
+    ray: &'a Ray,
+    pub nearest: Nearest,
+}
+
+/// Where a block was hit up to rounding.
+struct Inside<V> {
+    mask: u32,
+    t: V,
+    v: V,
+    w: V,
+    det: V,
+}
+
+impl<'a, L: Lanes> Blocks<'a, L> {
+    #[inline(always)]
+    pub fn new(lanes: L, ray: &'a Ray, blocks: &'a [Block]) -> Self {
+        let d = ray.direction.to_array();
+        let [x, y, z] = d.map(f32::abs);
+        let axes = if x > y && x > z {
+            [1, 2, 0]
+        } else if y > z {
+            [2, 0, 1]
+        } else {
+            [0, 1, 2]
+        };
+        let [dx, dy, dz] = axes.map(|axis| d[axis]);
+        let splat = |x: f32| L::X4::splat(lanes, x);
+        let origin = ray.origin.to_array();
+        Self {
+            blocks,
+            axes,
+            origin: [splat(origin[axes[0]]), splat(origin[axes[1]]), splat(origin[axes[2]])],
+            shear: [splat(dx / dz), splat(dy / dz)],
+            scale: splat(1.0 / dz),
+            ray,
+            nearest: Nearest { t: ray.t_max, v: 0.0, w: 0.0, det: 1.0, triangle: u32::MAX },
+        }
+    }
+
+    /// The block's vertices along axis `axes[k]`, relative to the origin.
+    #[inline(always)]
+    fn relative(&self, lanes: L, block: &Block, k: usize) -> [L::X4; 3] {
+        let [a, b, c] = &block.rows[self.axes[k].min(2)];
+        let o = self.origin[k];
+        [L::X4::load(lanes, a).sub(o), L::X4::load(lanes, b).sub(o), L::X4::load(lanes, c).sub(o)]
+    }
+
+    /// Tests a block; None where no lane is inside its edges.
+    #[inline(always)]
+    fn test(&self, lanes: L, block: &Block, t_max: f32) -> Option<Inside<L::X4>> {
+        let [az, bz, cz] = self.relative(lanes, block, 2);
+        let shear = |k: usize| {
+            let [a, b, c] = self.relative(lanes, block, k);
+            let s = self.shear[k];
+            [a.sub(s.mul(az)), b.sub(s.mul(bz)), c.sub(s.mul(cz))]
+        };
+        let [ax, bx, cx] = shear(0);
+        let [ay, by, cy] = shear(1);
+        let u = cx.mul(by).sub(cy.mul(bx));
+        let v = ax.mul(cy).sub(ay.mul(cx));
+        let w = bx.mul(ay).sub(by.mul(ax));
+        let zero = L::X4::splat(lanes, 0.0);
+        let inside = zero.le(u.min(v).min(w)) | u.max(v).max(w).le(zero);
+        if inside == 0 {
+            return None;
+        }
+        let det = u.add(v).add(w);
+        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).div(det).mul(self.scale);
+        // A zero `det` makes t NaN or infinite; t_max may be infinite too, so it is named.
+        let not_flat = det.lt(zero) | zero.lt(det);
+        let mask = inside & not_flat & zero.lt(t) & t.le(L::X4::splat(lanes, t_max));
+        if mask == 0 {
+            return None;
+        }
+        let (mask, t) = self.in_own_box(lanes, block, mask, t, t_max);
+        (mask != 0).then_some(Inside { mask, t, v, w, det })
+    }
+
+    /// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it. This is rare: about once a ray.
+    #[inline(always)]
+    fn in_own_box(&self, lanes: L, block: &Block, mask: u32, t: L::X4, t_max: f32) -> (u32, L::X4) {
+        let splat = |x: f32| L::X4::splat(lanes, x);
+        let reciprocals = Reciprocals::new(self.ray.direction);
+        let tight = |axis: usize| {
+            let [a, b, c] = &block.rows[axis];
+            let [a, b, c] = [L::X4::load(lanes, a), L::X4::load(lanes, b), L::X4::load(lanes, c)];
+            [a.min(b).min(c), a.max(b).max(c)]
+        };
+        let sides = [tight(0), tight(1), tight(2)];
+        let [x, y, z] = [sides[0][1].sub(sides[0][0]), sides[1][1].sub(sides[1][0]), sides[2][1].sub(sides[2][0])];
+        let extent = x.max(y).max(z).mul(splat(EXTENT_PAD));
+        let zero = splat(0.0);
+        let mut near = zero;
+        let mut far = splat(f32::INFINITY);
+        for (axis, [lower, upper]) in sides.into_iter().enumerate() {
+            let pad = |side: L::X4| extent.add(side.max(zero.sub(side)).mul(splat(VERTEX_PAD)));
+            let padded = [lower.sub(pad(lower)), upper.add(pad(upper))];
+            let origin = splat(self.ray.origin[axis]);
+            let enter = reciprocals.entry_side[axis] & 1;
+            let entry = padded[enter].sub(origin).mul(splat(reciprocals.entry[axis]));
+            let exit = padded[enter ^ 1].sub(origin).mul(splat(reciprocals.exit[axis]));
+            near = near.max(entry);
+            far = far.min(exit);
+        }
+        let t = t.max(near);
+        (mask & near.le(far) & t.le(splat(t_max)), t)
+    }
+}
+
+impl<L: Lanes> Leaves<L> for Blocks<'_, L> {
+    #[inline(always)]
+    fn nearest(&mut self, lanes: L, leaf: Leaf, _: f32) -> f32 {
+        let first = leaf.first as usize;
+        for block in &self.blocks[first..first + leaf.count as usize] {
+            let Some(inside) = self.test(lanes, block, self.nearest.t) else {
+                continue;
+            };
+            let [t, v, w, det] = [inside.t, inside.v, inside.w, inside.det].map(L::X4::store);
+            let mut mask = inside.mask;
+            while mask != 0 {
+                let lane = mask.trailing_zeros() as usize & (BLOCK - 1);
+                mask &= mask - 1;
+                let triangle = block.ids[lane];
+                let best = &mut self.nearest;
+                if t[lane] < best.t || (t[lane] == best.t && triangle < best.triangle) {
+                    *best = Nearest { t: t[lane], v: v[lane], w: w[lane], det: det[lane], triangle };
+                }
+            }
+        }
+        self.nearest.t
+    }
+
+    #[inline(always)]
+    fn any(&mut self, lanes: L, leaf: Leaf) -> bool {
+        let first = leaf.first as usize;
+        self.blocks[first..first + leaf.count as usize]
+            .iter()
+            .any(|block| self.test(lanes, block, self.ray.t_max).is_some())
+    }
+}
