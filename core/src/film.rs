@@ -258,7 +258,8 @@ fn mean(sum: i128, count: u64, scale_exponent: i32) -> f32 {
     let shift = magnitude.leading_zeros();
     let normalised = magnitude << shift;
     // At least 127 − 34 significant bits; the lowest is made sticky, so that rounding to 24 bits sees what division lost.
-    let quotient = normalised / u128::from(count) | u128::from(normalised % u128::from(count) != 0);
+    let count = u128::from(count);
+    let quotient = (normalised / count) | u128::from(!normalised.is_multiple_of(count));
     let rounded = f64::from(quotient as f32);
     let value = scale_down(rounded, scale_exponent + shift as i32) as f32;
     if sum < 0 { -value } else { value }

@@ -1,9 +1,15 @@
 //! A unit of work: the samples of a tile, traced.
 
+use crate::bvh::Ray;
+use crate::bvh::simd::{Isa, Kernel, Lanes};
+use crate::camera::Camera;
 use crate::film::{RadianceError, TileSums};
+use crate::filter::FilterTable;
+use crate::integrator::Estimator;
+use crate::sampler::Sampler;
 use crate::settings::{Settings, SettingsError, Window};
 use crate::world::World;
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Tracer {
     world: Arc<World>,
     settings: Settings,
+    camera: Camera,
+    filter: FilterTable,
+    isa: Isa,
 }
 
 /// A sample that has no value, and where it is.
@@ -29,13 +38,15 @@ pub struct SampleError {
 }
 
 impl Tracer {
-    /// Joins a world with settings.
+    /// Joins a world with settings. `isa` chooses among instruction sets; all give the same bits.
     ///
     /// # Errors
     /// Settings outside their ranges.
-    pub fn new(world: Arc<World>, settings: Settings) -> Result<Self, SettingsError> {
+    pub fn new(world: Arc<World>, settings: Settings, isa: Isa) -> Result<Self, SettingsError> {
         settings.validate()?;
-        Ok(Self { world, settings })
+        let camera = Camera::new(&world.sensor, &settings.film);
+        let filter = FilterTable::new(settings.film.filter);
+        Ok(Self { world, settings, camera, filter, isa })
     }
 
     /// Traces samples `samples` of every pixel of `tile`, on the calling thread. `None` if `stop` was set meanwhile.
@@ -43,25 +54,49 @@ impl Tracer {
     /// # Errors
     /// The first sample that is not finite or out of range.
     pub fn trace(&self, tile: Window, samples: Range<u32>, stop: &AtomicBool) -> Result<Option<TileSums>, SampleError> {
+        self.isa.dispatch(TraceTile { tracer: self, tile, samples, stop })
+    }
+
+    /// One sample of one pixel: the same value wherever and whenever it is asked for.
+    #[inline]
+    fn sample<L: Lanes>(&self, lanes: L, estimator: &Estimator, x: u32, y: u32, index: u32) -> Vec3 {
+        let Settings { film, seed, sampler, .. } = &self.settings;
+        let mut sampler = Sampler::new(*sampler, *seed, x, y, index);
+        let u = sampler.film();
+        let position = Vec2::new(self.filter.sample(x, film.width, u.x), self.filter.sample(y, film.height, u.y));
+        let camera_ray = self.camera.ray(position);
+        let ray = Ray { origin: camera_ray.origin, direction: camera_ray.direction, t_max: camera_ray.t_max };
+        estimator.radiance(lanes, &self.world, ray, &mut sampler)
+    }
+}
+
+/// The whole loop over a tile, compiled once for each instruction set.
+struct TraceTile<'a> {
+    tracer: &'a Tracer,
+    tile: Window,
+    samples: Range<u32>,
+    stop: &'a AtomicBool,
+}
+
+impl Kernel for TraceTile<'_> {
+    type Output = Result<Option<TileSums>, SampleError>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) -> Self::Output {
+        let Self { tracer, tile, samples, stop } = self;
+        let Settings { integrator, strategy, scale_exponent, .. } = tracer.settings;
+        let estimator = Estimator { integrator, strategy };
         let mut sums = TileSums::new(tile, samples.clone());
-        let mut pixels = sums.pixels.iter_mut();
-        for y in tile.y0..tile.y1 {
+        let positions = (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y)));
+        for ((x, y), pixel) in positions.zip(&mut sums.pixels) {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            for (x, pixel) in (tile.x0..tile.x1).zip(&mut pixels) {
-                for index in samples.clone() {
-                    let radiance = Vec3::new(x as f32, y as f32, (index % 7) as f32) / 512.0;
-                    pixel.add(index, radiance, self.settings.scale_exponent).map_err(|error| SampleError {
-                        x,
-                        y,
-                        index,
-                        error,
-                    })?;
-                }
+            for index in samples.clone() {
+                let radiance = tracer.sample(lanes, &estimator, x, y, index);
+                pixel.add(index, radiance, scale_exponent).map_err(|error| SampleError { x, y, index, error })?;
             }
         }
-        let _ = &self.world;
         Ok(Some(sums))
     }
 }

@@ -1,17 +1,32 @@
 //! A scene compiled for tracing.
 
-use crate::scene::Scene;
-use std::sync::Arc;
+use crate::geometry::Geometry;
+use crate::lights::Lights;
+use crate::scene::{Scene, Sensor};
+use crate::shading::Materials;
+use crate::texture::Textures;
 
-/// A scene with all that tracing needs beside it.
+/// A scene with its hierarchies and tables. It owns all it needs; the scene may be dropped.
 pub struct World {
-    /// What it was compiled from.
-    pub scene: Arc<Scene>,
+    /// What rays hit.
+    pub geometry: Geometry,
+    /// How it scatters.
+    pub materials: Materials,
+    /// Colours.
+    pub textures: Textures,
+    /// What shines.
+    pub lights: Lights,
+    /// Where the picture is taken from.
+    pub sensor: Sensor,
 }
 
 impl World {
     /// Compiles a scene that [`Scene::validate`] has passed, on the current rayon pool.
-    pub fn compile(scene: Arc<Scene>) -> Self {
-        Self { scene }
+    pub fn compile(scene: &Scene) -> Self {
+        let textures = Textures::new(scene);
+        let geometry = Geometry::new(scene, &Lights::first_of_shapes(scene));
+        let lights = Lights::new(scene, &geometry, &textures);
+        let materials = Materials::new(&scene.bsdfs, &scene.shapes);
+        Self { geometry, materials, textures, lights, sensor: scene.sensor.clone() }
     }
 }

@@ -1,0 +1,275 @@
+//! All surfaces of a scene, laid out for tracing: what a ray hits, and the surface point there.
+
+use crate::bvh::simd::Lanes;
+use crate::bvh::{Ray, TriangleBvh, TriangleHit};
+use crate::frame::Frame;
+use crate::scene::{Geometry as Shape, Scene};
+use crate::shape::{Analytic, AnalyticBvh};
+use crate::surface::{Surface, gamma};
+use glam::{Vec2, Vec3};
+
+/// Stands for "none" in the tables below.
+const NONE: u32 = u32::MAX;
+
+/// Triangles of all meshes in one list, analytic shapes in another. A *primitive* is a triangle or an analytic shape;
+/// analytic ones are numbered after the triangles.
+pub struct Geometry {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    uvs: Vec<Vec2>,
+    triangles: Vec<[u32; 3]>,
+    /// The shape of each triangle.
+    triangle_shapes: Vec<u32>,
+    analytic: Vec<Analytic>,
+    /// The shape of each analytic surface.
+    analytic_shapes: Vec<u32>,
+    shapes: Vec<ShapeTable>,
+    bvh: TriangleBvh,
+    analytic_bvh: AnalyticBvh,
+}
+
+/// Where a shape's data lies in the common lists.
+#[derive(Clone, Copy, Debug)]
+struct ShapeTable {
+    first_primitive: u32,
+    primitives: u32,
+    first_vertex: u32,
+    /// Index of its first normal, or [`NONE`].
+    first_normal: u32,
+    /// Index of its first texture coordinate, or [`NONE`].
+    first_uv: u32,
+    /// The light of its first primitive, or [`NONE`]; its other primitives' follow.
+    first_light: u32,
+}
+
+/// What a ray has hit.
+#[derive(Clone, Copy, Debug)]
+pub enum Hit {
+    /// A triangle.
+    Triangle(TriangleHit),
+    /// An analytic shape.
+    Analytic {
+        /// Ray parameter.
+        t: f32,
+        /// Index in the list of analytic shapes.
+        index: u32,
+    },
+}
+
+impl Geometry {
+    /// Lays out the shapes of a scene and builds their hierarchies. `first_lights` has, for each shape that emits, the light
+    /// of its first primitive.
+    pub fn new(scene: &Scene, first_lights: &[Option<u32>]) -> Self {
+        let mut lists = Lists::default();
+        for (shape, light) in scene.shapes.iter().zip(first_lights) {
+            lists.push(scene, &shape.geometry, light.unwrap_or(NONE));
+        }
+        let triangle_count = lists.triangles.len() as u32;
+        for table in lists.shapes.iter_mut().filter(|t| t.first_vertex == NONE) {
+            table.first_primitive += triangle_count;
+        }
+        let vertices = |i: u32| lists.triangles[i as usize].map(|v| lists.positions[v as usize]);
+        let bvh = TriangleBvh::build(triangle_count, vertices);
+        let analytic_bvh = AnalyticBvh::build(&lists.analytic);
+        let Lists { positions, normals, uvs, triangles, triangle_shapes, analytic, analytic_shapes, shapes } = lists;
+        Self {
+            positions,
+            normals,
+            uvs,
+            triangles,
+            triangle_shapes,
+            analytic,
+            analytic_shapes,
+            shapes,
+            bvh,
+            analytic_bvh,
+        }
+    }
+
+    /// The nearest hit; of equally near ones the first primitive.
+    #[inline]
+    pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<Hit> {
+        let triangle = self.bvh.closest(lanes, ray);
+        if self.analytic.is_empty() {
+            return triangle.map(Hit::Triangle);
+        }
+        let t_max = triangle.map_or(ray.t_max, |hit| hit.t);
+        let analytic = self.analytic_bvh.closest(lanes, &self.analytic, &Ray { t_max, ..*ray });
+        match (triangle, analytic) {
+            (Some(hit), Some((t, _))) if hit.t <= t => Some(Hit::Triangle(hit)),
+            (_, Some((t, index))) => Some(Hit::Analytic { t, index }),
+            (triangle, None) => triangle.map(Hit::Triangle),
+        }
+    }
+
+    /// Whether anything lies on the ray.
+    #[inline]
+    pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
+        self.bvh.occluded(lanes, ray)
+            || (!self.analytic.is_empty() && self.analytic_bvh.occluded(lanes, &self.analytic, ray))
+    }
+
+    /// The surface where a ray hit it.
+    #[inline]
+    pub fn surface(&self, ray: &Ray, hit: Hit) -> Surface {
+        match hit {
+            Hit::Triangle(TriangleHit { u, v, triangle, .. }) => self.triangle_surface(triangle, Vec2::new(u, v)),
+            Hit::Analytic { t, index } => self.analytic_surface(index, ray.origin + ray.direction * t),
+        }
+    }
+
+    /// The point of a triangle with barycentric coordinates `b` of its vertices 1 and 2.
+    #[inline]
+    pub fn triangle_surface(&self, triangle: u32, b: Vec2) -> Surface {
+        let shape = self.triangle_shapes[triangle as usize];
+        let table = &self.shapes[shape as usize];
+        let vertices = self.triangles[triangle as usize];
+        let [p0, p1, p2] = vertices.map(|i| self.positions[i as usize]);
+        let weights = [1.0 - b.x - b.y, b.x, b.y];
+        let parts = [p0 * weights[0], p1 * weights[1], p2 * weights[2]];
+        let normal = (p1 - p0).cross(p2 - p0).normalize();
+        let interpolate = |first: u32, list: &[Vec3]| -> Vec3 {
+            let at = |i: usize| list[(vertices[i] - table.first_vertex + first) as usize];
+            at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
+        };
+        let shading = if table.first_normal == NONE {
+            normal
+        } else {
+            interpolate(table.first_normal, &self.normals).try_normalize().unwrap_or(normal)
+        };
+        let uv = if table.first_uv == NONE {
+            b
+        } else {
+            let at = |i: usize| self.uvs[(vertices[i] - table.first_vertex + table.first_uv) as usize];
+            at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
+        };
+        Surface {
+            position: parts[0] + parts[1] + parts[2],
+            error: (parts[0].abs() + parts[1].abs() + parts[2].abs()) * gamma(7),
+            normal,
+            frame: Frame::around(shading),
+            uv,
+            shape,
+            light: table.light_of(triangle),
+        }
+    }
+
+    /// The point of an analytic shape nearest to `position`.
+    #[inline]
+    pub fn analytic_surface(&self, index: u32, position: Vec3) -> Surface {
+        self.analytic_point(index, self.analytic[index as usize].point(position))
+    }
+
+    /// A point of an analytic shape as a surface.
+    #[inline]
+    pub fn analytic_point(&self, index: u32, point: crate::shape::Point) -> Surface {
+        let shape = self.analytic_shapes[index as usize];
+        let table = &self.shapes[shape as usize];
+        Surface {
+            position: point.position,
+            error: point.error,
+            normal: point.normal,
+            frame: Frame::around(point.normal),
+            uv: point.uv,
+            shape,
+            light: table.light_of(table.first_primitive),
+        }
+    }
+
+    /// The analytic shape of this index.
+    pub fn analytic(&self, index: u32) -> &Analytic {
+        &self.analytic[index as usize]
+    }
+
+    /// The primitives of a shape: triangles, or one number behind all triangles.
+    pub fn primitives(&self, shape: usize) -> std::ops::Range<u32> {
+        let table = &self.shapes[shape];
+        table.first_primitive..table.first_primitive + table.primitives
+    }
+
+    /// The analytic index of a primitive, none for a triangle.
+    pub fn analytic_index(&self, primitive: u32) -> Option<u32> {
+        primitive.checked_sub(self.triangles.len() as u32)
+    }
+
+    /// Area of a primitive.
+    pub fn area(&self, primitive: u32) -> f32 {
+        match self.analytic_index(primitive) {
+            Some(index) => self.analytic[index as usize].area(),
+            None => self.triangle_area(primitive),
+        }
+    }
+
+    /// Area of a triangle.
+    #[inline]
+    pub fn triangle_area(&self, triangle: u32) -> f32 {
+        let [p0, p1, p2] = self.triangles[triangle as usize].map(|i| self.positions[i as usize]);
+        0.5 * (p1 - p0).cross(p2 - p0).length()
+    }
+
+    /// Centre and radius of a ball around everything; radius 0 for an empty scene.
+    pub fn bounding_ball(&self) -> (Vec3, f32) {
+        let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        let points = self.positions.iter().map(|&p| (p, p));
+        for (a, b) in points.chain(self.analytic.iter().map(Analytic::bounds)) {
+            (low, high) = (low.min(a), high.max(b));
+        }
+        if low.x > high.x { (Vec3::ZERO, 0.0) } else { (0.5 * (low + high), 0.5 * (high - low).length()) }
+    }
+}
+
+impl ShapeTable {
+    #[inline]
+    fn light_of(&self, primitive: u32) -> Option<u32> {
+        (self.first_light != NONE).then(|| self.first_light + (primitive - self.first_primitive))
+    }
+}
+
+/// The common lists while they grow.
+#[derive(Default)]
+struct Lists {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    uvs: Vec<Vec2>,
+    triangles: Vec<[u32; 3]>,
+    triangle_shapes: Vec<u32>,
+    analytic: Vec<Analytic>,
+    analytic_shapes: Vec<u32>,
+    shapes: Vec<ShapeTable>,
+}
+
+impl Lists {
+    fn push(&mut self, scene: &Scene, geometry: &Shape, first_light: u32) {
+        let shape = self.shapes.len() as u32;
+        let mut table = ShapeTable {
+            first_primitive: self.triangles.len() as u32,
+            primitives: 1,
+            first_vertex: NONE,
+            first_normal: NONE,
+            first_uv: NONE,
+            first_light,
+        };
+        if let Shape::Mesh(id) = geometry {
+            let mesh = &scene.meshes[id.0 as usize];
+            let first = self.positions.len() as u32;
+            table.first_vertex = first;
+            table.primitives = mesh.triangles.len() as u32;
+            if !mesh.normals.is_empty() {
+                table.first_normal = self.normals.len() as u32;
+                self.normals.extend(&mesh.normals);
+            }
+            if !mesh.uvs.is_empty() {
+                table.first_uv = self.uvs.len() as u32;
+                self.uvs.extend(&mesh.uvs);
+            }
+            self.positions.extend(&mesh.positions);
+            self.triangles.extend(mesh.triangles.iter().map(|t| t.map(|i| i + first)));
+            self.triangle_shapes.resize(self.triangles.len(), shape);
+        } else if let Some(analytic) = Analytic::new(geometry) {
+            table.first_primitive = self.analytic.len() as u32; // moved behind the triangles once they are counted
+            self.analytic.push(analytic);
+            self.analytic_shapes.push(shape);
+        }
+        self.shapes.push(table);
+    }
+}

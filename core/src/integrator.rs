@@ -1,0 +1,178 @@
+//! The estimator: L ≈ 1/N Σ f(wi, wo) Li(wi) |cos θ| / p(wi), along one random path a sample.
+//!
+//! One loop serves every integrator and strategy. At each surface the path gains what is emitted there, light sampled by
+//! next-event estimation, and one continuation; where the two ways to find a light compete, multiple importance sampling
+//! weighs them (Veach & Guibas 1995). The integrators differ in where a path ends:
+//!
+//! - `path`: where it leaves the scene, at the depth limit, or by Russian roulette;
+//! - `direct`: one segment after the first surface, so that light is scattered once;
+//! - `whitted`: one segment after the first surface that is neither mirror nor glass.
+
+use crate::bsdf::{Closure, Sample};
+use crate::bvh::Ray;
+use crate::bvh::simd::Lanes;
+use crate::sampler::{Sampler, Slot};
+use crate::settings::{Integrator, IntegratorKind, Strategy};
+use crate::shading::Shading;
+use crate::surface::Surface;
+use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_pdf, uniform_hemisphere};
+use crate::world::World;
+use glam::{Vec2, Vec3};
+
+/// The largest probability to go on under Russian roulette, so that a path in a lossless scene ends some day.
+const CONTINUATION_MAX: f32 = 0.95;
+
+/// What is estimated, and how.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimator {
+    /// Which light transport is counted.
+    pub integrator: Integrator,
+    /// Where directions come from.
+    pub strategy: Strategy,
+}
+
+/// How the ray in hand came about: what weighs an emitter that it finds.
+#[derive(Clone, Copy, Debug)]
+struct Origin {
+    /// Where it starts.
+    position: Vec3,
+    /// Density of its direction, in solid angle; infinite where light sampling could not have found it.
+    pdf: f32,
+}
+
+impl Estimator {
+    /// Radiance along a camera ray.
+    pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
+        let mut radiance = Vec3::ZERO;
+        let mut throughput = Vec3::ONE;
+        let mut origin = Origin { position: ray.origin, pdf: f32::INFINITY };
+        let mut eta = 1.0;
+        let mut last_segment = false;
+        let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
+        for depth in 0.. {
+            let visible = depth > 0 || !self.integrator.hide_emitters;
+            let Some(hit) = world.geometry.closest(lanes, &ray) else {
+                if visible {
+                    radiance += throughput * self.background(world, origin);
+                }
+                break;
+            };
+            let surface = world.geometry.surface(&ray, hit);
+            if let Some(light) = surface.light.filter(|_| visible) {
+                radiance += throughput * self.emitted(world, &surface, light, origin, -ray.direction);
+            }
+            if last_segment || max_depth.is_some_and(|max| depth + 1 >= max) {
+                break;
+            }
+
+            sampler.at_surface(depth);
+            let mut lobe = sampler.one(Slot::Lobe);
+            let wo = -ray.direction.normalize();
+            let shading = world.materials.at(&world.textures, &surface, wo, &mut lobe);
+            let wo = shading.frame.to_local(wo);
+            if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
+                radiance += throughput * self.direct(lanes, world, &surface, &shading, wo, sampler);
+            }
+
+            let Some(next) = self.continuation(&shading.closure, wo, lobe, sampler.two(Slot::Direction)) else { break };
+            throughput *= next.weight;
+            eta *= next.eta;
+            last_segment = match self.integrator.kind {
+                IntegratorKind::Path => false,
+                IntegratorKind::Direct => true,
+                IntegratorKind::Whitted => !next.is_delta(),
+            };
+            if depth + 1 >= self.integrator.rr_depth && !last_segment {
+                // The radiance scale of refraction (eta²) undoes itself when the path leaves the glass.
+                let survival = (throughput.max_element() * eta * eta).min(CONTINUATION_MAX);
+                if sampler.one(Slot::Roulette) >= survival {
+                    break;
+                }
+                throughput /= survival;
+            }
+            if throughput == Vec3::ZERO {
+                break;
+            }
+            ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
+            origin = Origin { position: surface.position, pdf: next.pdf };
+        }
+        radiance
+    }
+
+    /// Next-event estimation: light from one point of one light, if the way is free.
+    #[inline]
+    fn direct<L: Lanes>(
+        &self,
+        lanes: L,
+        world: &World,
+        surface: &Surface,
+        shading: &Shading,
+        wo: Vec3,
+        sampler: &Sampler,
+    ) -> Vec3 {
+        let (choice, u) = (sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
+        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u) else {
+            return Vec3::ZERO;
+        };
+        let scattered = shading.closure.eval(wo, shading.frame.to_local(light.wi));
+        let weight = if self.strategy == Strategy::Mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
+        let contribution = scattered.value * light.weight * weight;
+        if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
+            return Vec3::ZERO;
+        }
+        contribution
+    }
+
+    /// Radiance from beyond the scene.
+    #[inline]
+    fn background(&self, world: &World, origin: Origin) -> Vec3 {
+        world.lights.background().map(|(radiance, pdf)| radiance * self.weight_of_hit(origin, pdf)).sum()
+    }
+
+    /// Radiance emitted by the surface that was hit.
+    #[inline]
+    fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> Vec3 {
+        let emitted = world.lights.emitted(&world.textures, surface, light, wo);
+        if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
+            return emitted * self.weight_of_hit(origin, 0.0);
+        }
+        let light_pdf = world.lights.pdf(&world.geometry, origin.position, surface, light);
+        emitted * self.weight_of_hit(origin, light_pdf)
+    }
+
+    /// The weight of a light that a ray hit: one where next-event estimation could not have found it or is not used.
+    #[inline]
+    fn weight_of_hit(&self, origin: Origin, light_pdf: f32) -> f32 {
+        match self.strategy {
+            _ if origin.pdf == f32::INFINITY => 1.0,
+            Strategy::Uniform | Strategy::Cosine | Strategy::Bsdf => 1.0,
+            Strategy::Light => 0.0,
+            Strategy::Mis => power_heuristic(origin.pdf, light_pdf),
+        }
+    }
+
+    /// One direction to go on, by the strategy. Mirrors and glass have theirs whatever the strategy.
+    #[inline]
+    fn continuation(&self, closure: &Closure, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
+        let (wi, pdf) = match self.strategy {
+            _ if closure.is_delta() => return closure.sample(wo, lobe, u),
+            Strategy::Bsdf | Strategy::Light | Strategy::Mis => return closure.sample(wo, lobe, u),
+            Strategy::Uniform => (uniform_hemisphere(u), UNIFORM_HEMISPHERE_PDF),
+            Strategy::Cosine => {
+                let wi = cosine_hemisphere(u);
+                (wi, cosine_hemisphere_pdf(wi.z))
+            }
+        };
+        (pdf > 0.0).then(|| Sample { wi, weight: closure.eval(wo, wi).value / pdf, pdf, eta: 1.0 })
+    }
+}
+
+/// Veach's power heuristic with β = 2, for one sample of each technique; `a` may be infinite.
+#[inline]
+fn power_heuristic(a: f32, b: f32) -> f32 {
+    if a == f32::INFINITY {
+        return 1.0;
+    }
+    let ratio = b / a;
+    1.0 / (1.0 + ratio * ratio)
+}

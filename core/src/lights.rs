@@ -1,0 +1,254 @@
+//! The lights of a scene: which to sample, where on it, and how likely that was.
+//!
+//! A light is what has one density: a triangle or analytic surface that emits, a point, a direction, the background. They are
+//! chosen in proportion to their power.
+
+use crate::bvh::Ray;
+use crate::geometry::Geometry;
+use crate::scene::{Emitter, Scene, TextureId};
+use crate::shape::area_to_solid_angle;
+use crate::surface::Surface;
+use crate::texture::Textures;
+use crate::warp::{UNIFORM_SPHERE_PDF, uniform_sphere, uniform_triangle};
+use glam::{Vec2, Vec3};
+use std::f32::consts::PI;
+
+/// All lights and their probabilities.
+pub struct Lights {
+    lights: Vec<Light>,
+    choice: AliasTable,
+    /// The background's radiance, and its lights' indices.
+    background: Vec<(Vec3, u32)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Light {
+    Triangle { triangle: u32, area: f32, radiance: TextureId },
+    Analytic { index: u32, radiance: TextureId },
+    Constant { radiance: Vec3 },
+    Point { position: Vec3, intensity: Vec3 },
+    Directional { direction: Vec3, irradiance: Vec3 },
+}
+
+/// Light that reaches a surface along one ray, if nothing is in between.
+#[derive(Clone, Copy, Debug)]
+pub struct LightSample {
+    /// Unit direction to the light.
+    pub wi: Vec3,
+    /// Radiance from there over its density: for delta lights, the irradiance across `wi` over the probability.
+    pub weight: Vec3,
+    /// Density in solid angle; [`f32::INFINITY`] for a light that no other sampling can find.
+    pub pdf: f32,
+    /// The ray that must be free.
+    pub shadow_ray: Ray,
+}
+
+impl Lights {
+    /// How many lights each shape will be, in order of shapes: its number of primitives if it emits. The returned indices
+    /// are those of the first ones, as [`Geometry::new`] wants them.
+    pub fn first_of_shapes(scene: &Scene) -> Vec<Option<u32>> {
+        let mut next = 0u32;
+        let mut first = Vec::with_capacity(scene.shapes.len());
+        for shape in &scene.shapes {
+            first.push(shape.radiance.map(|_| next));
+            if shape.radiance.is_some() {
+                next += match &shape.geometry {
+                    crate::scene::Geometry::Mesh(id) => scene.meshes[id.0 as usize].triangles.len() as u32,
+                    _ => 1,
+                };
+            }
+        }
+        first
+    }
+
+    /// Lists the lights of a scene, surfaces first.
+    pub fn new(scene: &Scene, geometry: &Geometry, textures: &Textures) -> Self {
+        let mut lights = Vec::new();
+        let mut powers = Vec::new();
+        for (i, shape) in scene.shapes.iter().enumerate() {
+            let Some(radiance) = shape.radiance else { continue };
+            let brightness = luminance(textures.mean(radiance));
+            for primitive in geometry.primitives(i) {
+                let area = geometry.area(primitive);
+                lights.push(match geometry.analytic_index(primitive) {
+                    Some(index) => Light::Analytic { index, radiance },
+                    None => Light::Triangle { triangle: primitive, area, radiance },
+                });
+                powers.push(PI * area * brightness);
+            }
+        }
+        let (_, radius) = geometry.bounding_ball();
+        let across = PI * radius * radius;
+        let mut background = Vec::new();
+        for emitter in &scene.emitters {
+            let (light, power) = match *emitter {
+                Emitter::Constant { radiance } => {
+                    background.push((radiance, lights.len() as u32));
+                    (Light::Constant { radiance }, 4.0 * PI * across * luminance(radiance))
+                }
+                Emitter::Point { position, intensity } => {
+                    (Light::Point { position, intensity }, 4.0 * PI * luminance(intensity))
+                }
+                Emitter::Directional { direction, irradiance } => {
+                    (Light::Directional { direction, irradiance }, across * luminance(irradiance))
+                }
+            };
+            lights.push(light);
+            powers.push(power);
+        }
+        Self { lights, choice: AliasTable::new(&powers), background }
+    }
+
+    /// Light to the surface from a light chosen by `choice`, at its point chosen by `u`; none where none can come.
+    #[inline]
+    pub fn sample(
+        &self,
+        geometry: &Geometry,
+        textures: &Textures,
+        surface: &Surface,
+        choice: f32,
+        u: Vec2,
+    ) -> Option<LightSample> {
+        let (i, probability) = self.choice.sample(choice)?;
+        match self.lights[i as usize] {
+            Light::Triangle { triangle, area, radiance } => {
+                let point = geometry.triangle_surface(triangle, uniform_triangle(u));
+                let pdf = area_to_solid_angle(1.0 / area, surface.position, point.position, point.normal);
+                from_surface(textures, radiance, surface, &point, pdf * probability)
+            }
+            Light::Analytic { index, radiance } => {
+                let (point, pdf) = geometry.analytic(index).sample(surface.position, u)?;
+                let point = geometry.analytic_point(index, point);
+                from_surface(textures, radiance, surface, &point, pdf * probability)
+            }
+            Light::Constant { radiance } => {
+                let (wi, pdf) = (uniform_sphere(u), UNIFORM_SPHERE_PDF * probability);
+                Some(LightSample { wi, weight: radiance / pdf, pdf, shadow_ray: surface.ray(wi, f32::INFINITY) })
+            }
+            Light::Point { position, intensity } => {
+                let shadow_ray = surface.ray_to_point(position);
+                let towards = position - surface.position;
+                let squared = towards.length_squared();
+                let weight = intensity / (squared * probability);
+                (squared > 0.0).then(|| LightSample {
+                    wi: towards / squared.sqrt(),
+                    weight,
+                    pdf: f32::INFINITY,
+                    shadow_ray,
+                })
+            }
+            Light::Directional { direction, irradiance } => Some(LightSample {
+                wi: -direction,
+                weight: irradiance / probability,
+                pdf: f32::INFINITY,
+                shadow_ray: surface.ray(-direction, f32::INFINITY),
+            }),
+        }
+    }
+
+    /// Density in solid angle with which [`Lights::sample`] finds the emitting point `point` from `from`.
+    #[inline]
+    pub fn pdf(&self, geometry: &Geometry, from: Vec3, point: &Surface, light: u32) -> f32 {
+        let density = match self.lights[light as usize] {
+            Light::Triangle { area, .. } => area_to_solid_angle(1.0 / area, from, point.position, point.normal),
+            Light::Analytic { index, .. } => geometry.analytic(index).pdf(from, point.position, point.normal),
+            Light::Constant { .. } | Light::Point { .. } | Light::Directional { .. } => 0.0,
+        };
+        density * self.choice.probability(light)
+    }
+
+    /// Radiance that an emitting point sends towards `wo` (a unit vector): from the side of its shading normal.
+    #[inline]
+    pub fn emitted(&self, textures: &Textures, point: &Surface, light: u32, wo: Vec3) -> Vec3 {
+        match self.lights[light as usize] {
+            Light::Triangle { radiance, .. } | Light::Analytic { radiance, .. } if point.frame.n.dot(wo) > 0.0 => {
+                textures.at(radiance, point.uv)
+            }
+            _ => Vec3::ZERO,
+        }
+    }
+
+    /// Each background's radiance and the density with which light sampling finds its directions.
+    #[inline]
+    pub fn background(&self) -> impl Iterator<Item = (Vec3, f32)> {
+        self.background.iter().map(|&(radiance, i)| (radiance, UNIFORM_SPHERE_PDF * self.choice.probability(i)))
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.lights.len()
+    }
+
+    /// No light at all.
+    pub fn is_empty(&self) -> bool {
+        self.lights.is_empty()
+    }
+}
+
+#[inline]
+fn from_surface(
+    textures: &Textures,
+    radiance: TextureId,
+    surface: &Surface,
+    point: &Surface,
+    pdf: f32,
+) -> Option<LightSample> {
+    let wi = (point.position - surface.position).normalize();
+    if !(pdf > 0.0 && pdf < f32::INFINITY && point.frame.n.dot(wi) < 0.0) {
+        return None;
+    }
+    let weight = textures.at(radiance, point.uv) / pdf;
+    Some(LightSample { wi, weight, pdf, shadow_ray: surface.ray_to(point) })
+}
+
+/// Luminance of linear sRGB (ITU-R BT.709).
+#[inline]
+pub fn luminance(rgb: Vec3) -> f32 {
+    rgb.dot(Vec3::new(0.212_671, 0.715_160, 0.072_169))
+}
+
+/// Choice among weighted items in constant time (Walker 1974; Vose 1991).
+struct AliasTable {
+    /// For each bin: the share of it that is the item's own, and the item that has the rest.
+    bins: Vec<(f32, u32)>,
+    probabilities: Vec<f32>,
+}
+
+impl AliasTable {
+    fn new(weights: &[f32]) -> Self {
+        let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
+        if total <= 0.0 {
+            return Self { bins: Vec::new(), probabilities: vec![0.0; weights.len()] };
+        }
+        let n = weights.len() as f64;
+        let mut scaled: Vec<f64> = weights.iter().map(|&w| f64::from(w) * n / total).collect();
+        let mut bins: Vec<(f32, u32)> = (0..weights.len()).map(|i| (1.0, i as u32)).collect();
+        let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..weights.len()).partition(|&i| scaled[i] < 1.0);
+        while let (Some(s), Some(&l)) = (small.pop(), large.last()) {
+            bins[s] = (scaled[s] as f32, l as u32);
+            scaled[l] -= 1.0 - scaled[s];
+            if scaled[l] < 1.0 {
+                large.pop();
+                small.push(l);
+            }
+        }
+        let probabilities = weights.iter().map(|&w| (f64::from(w) / total) as f32).collect();
+        Self { bins, probabilities }
+    }
+
+    /// An item and its probability; none if no item has weight.
+    #[inline]
+    fn sample(&self, u: f32) -> Option<(u32, f32)> {
+        let at = u * self.bins.len() as f32;
+        let bin = (at as usize).min(self.bins.len().checked_sub(1)?);
+        let (share, alias) = self.bins[bin];
+        let item = if at - (bin as f32) < share { bin as u32 } else { alias };
+        let probability = self.probabilities[item as usize];
+        (probability > 0.0).then_some((item, probability))
+    }
+
+    #[inline]
+    fn probability(&self, item: u32) -> f32 {
+        self.probabilities[item as usize]
+    }
+}

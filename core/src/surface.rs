@@ -1,0 +1,80 @@
+//! A point on a surface with what shading needs, and rays that leave it.
+
+use crate::bvh::Ray;
+use crate::frame::Frame;
+use glam::{Vec2, Vec3};
+
+/// Half the distance from 1 to the next f32: the relative error of one rounded operation.
+const UNIT_ROUNDOFF: f32 = f32::EPSILON * 0.5;
+
+/// Bound on the relative error of `n` rounded operations in a row (Higham 2002, §3.1).
+#[inline]
+pub const fn gamma(n: u32) -> f32 {
+    let nu = n as f32 * UNIT_ROUNDOFF;
+    nu / (1.0 - nu)
+}
+
+/// A point on a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface {
+    /// Where it is, in scene coordinates.
+    pub position: Vec3,
+    /// Bound on the distance of `position` from the true surface, along each axis.
+    pub error: Vec3,
+    /// Unit normal of the surface itself.
+    pub normal: Vec3,
+    /// Shading frame: its normal may be interpolated.
+    pub frame: Frame,
+    /// Texture coordinates.
+    pub uv: Vec2,
+    /// Index of the shape.
+    pub shape: u32,
+    /// The light that this point is part of, if it emits.
+    pub light: Option<u32>,
+}
+
+impl Surface {
+    /// A ray from here into the direction `w`. It starts so far off the surface, on the side that `w` points to, that it
+    /// cannot meet the surface again by rounding (Pharr, Jakob & Humphreys 2023, §6.8).
+    #[inline]
+    pub fn ray(&self, w: Vec3, t_max: f32) -> Ray {
+        Ray { origin: self.offset(w), direction: w, t_max }
+    }
+
+    /// A ray from here to another point; t = 1 is there.
+    #[inline]
+    pub fn ray_to(&self, target: &Surface) -> Ray {
+        let towards = target.position - self.position;
+        let origin = self.offset(towards);
+        let direction = target.offset(-towards) - origin;
+        Ray { origin, direction, t_max: 1.0 }
+    }
+
+    /// A ray from here to a point that is on no surface; t = 1 is there.
+    #[inline]
+    pub fn ray_to_point(&self, target: Vec3) -> Ray {
+        let origin = self.offset(target - self.position);
+        Ray { origin, direction: target - origin, t_max: 1.0 }
+    }
+
+    /// The point moved off the surface to the side of `w`, by at least its error.
+    #[inline]
+    fn offset(&self, w: Vec3) -> Vec3 {
+        let distance = self.normal.abs().dot(self.error);
+        let side = if w.dot(self.normal) < 0.0 { -self.normal } else { self.normal };
+        let moved = self.position + side * distance;
+        Vec3::new(away(moved.x, side.x), away(moved.y, side.y), away(moved.z, side.z))
+    }
+}
+
+/// The next f32 in the direction of `sign`: the sum that made `x` was rounded, perhaps backwards.
+#[inline]
+fn away(x: f32, sign: f32) -> f32 {
+    if sign > 0.0 {
+        x.next_up()
+    } else if sign < 0.0 {
+        x.next_down()
+    } else {
+        x
+    }
+}

@@ -1,0 +1,107 @@
+//! Textures, compiled for look-up: the one place where a texture is evaluated.
+
+use crate::scene::{FilterType, Image, Scene, Texels, Texture, TextureId, WrapMode};
+use glam::{Affine2, Vec2, Vec3};
+use std::sync::Arc;
+
+/// All textures of a scene.
+pub struct Textures {
+    textures: Vec<Texture>,
+    images: Vec<Arc<Image>>,
+    /// sRGB decoding of a byte (IEC 61966-2-1).
+    srgb: [f32; 256],
+}
+
+impl Textures {
+    /// Takes over a scene's textures.
+    pub fn new(scene: &Scene) -> Self {
+        Self {
+            textures: scene.textures.clone(),
+            images: scene.images.clone(),
+            srgb: std::array::from_fn(|i| srgb_to_linear(i as f64 / 255.0) as f32),
+        }
+    }
+
+    /// The value at texture coordinates `uv`, linear sRGB.
+    #[inline]
+    pub fn at(&self, id: TextureId, uv: Vec2) -> Vec3 {
+        match &self.textures[id.0 as usize] {
+            Texture::Constant(rgb) => *rgb,
+            Texture::Checkerboard { color0, color1, to_uv } => {
+                let uv = to_uv.transform_point2(uv);
+                let high = |x: f32| x - x.floor() > 0.5;
+                self.at(if high(uv.x) == high(uv.y) { *color0 } else { *color1 }, uv)
+            }
+            Texture::Bitmap { image, to_uv, filter, wrap, scale } => {
+                self.bitmap(&self.images[image.0 as usize], to_uv, *filter, *wrap, uv) * *scale
+            }
+        }
+    }
+
+    fn bitmap(&self, image: &Image, to_uv: &Affine2, filter: FilterType, wrap: WrapMode, uv: Vec2) -> Vec3 {
+        let uv = to_uv.transform_point2(uv);
+        let p = Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32);
+        let fetch = |x: f32, y: f32| {
+            let (x, y) = (wrapped(x, image.width, wrap), wrapped(y, image.height, wrap));
+            // v runs up, rows run down.
+            self.texel(image, (image.height - 1 - y) as usize * image.width as usize + x as usize)
+        };
+        match filter {
+            FilterType::Nearest => fetch(p.x.floor(), p.y.floor()),
+            FilterType::Bilinear => {
+                let corner = p - Vec2::splat(0.5);
+                let (x, y) = (corner.x.floor(), corner.y.floor());
+                let (fx, fy) = (corner.x - x, corner.y - y);
+                let bottom = fetch(x, y) * (1.0 - fx) + fetch(x + 1.0, y) * fx;
+                let top = fetch(x, y + 1.0) * (1.0 - fx) + fetch(x + 1.0, y + 1.0) * fx;
+                bottom * (1.0 - fy) + top * fy
+            }
+        }
+    }
+
+    #[inline]
+    fn texel(&self, image: &Image, i: usize) -> Vec3 {
+        let decode = |byte: u8, srgb: bool| if srgb { self.srgb[byte as usize] } else { f32::from(byte) / 255.0 };
+        match &image.texels {
+            Texels::Grey8 { srgb, data } => Vec3::splat(decode(data[i], *srgb)),
+            Texels::Rgb8 { srgb, data } => Vec3::from_array(std::array::from_fn(|c| decode(data[3 * i + c], *srgb))),
+            Texels::Grey32(data) => Vec3::splat(data[i]),
+            Texels::Rgb32(data) => Vec3::new(data[3 * i], data[3 * i + 1], data[3 * i + 2]),
+        }
+    }
+
+    /// A typical value: the mean over the unit square of the texture (for weighing lights, not for shading).
+    pub fn mean(&self, id: TextureId) -> Vec3 {
+        match &self.textures[id.0 as usize] {
+            Texture::Constant(rgb) => *rgb,
+            Texture::Checkerboard { color0, color1, .. } => 0.5 * (self.mean(*color0) + self.mean(*color1)),
+            Texture::Bitmap { image, scale, .. } => {
+                let image = &self.images[image.0 as usize];
+                let pixels = image.width as usize * image.height as usize;
+                let sum: glam::DVec3 = (0..pixels).map(|i| self.texel(image, i).as_dvec3()).sum();
+                (sum / pixels as f64).as_vec3() * *scale
+            }
+        }
+    }
+}
+
+/// A texel coordinate brought into 0..size. What is not finite becomes 0.
+#[inline]
+fn wrapped(x: f32, size: u32, wrap: WrapMode) -> u32 {
+    let n = i64::from(size);
+    let i = x as i64;
+    let inside = match wrap {
+        WrapMode::Repeat => i.rem_euclid(n),
+        WrapMode::Clamp => i.clamp(0, n - 1),
+        WrapMode::Mirror => {
+            let j = i.rem_euclid(2 * n);
+            if j < n { j } else { 2 * n - 1 - j }
+        }
+    };
+    inside as u32
+}
+
+/// The sRGB curve, decoding.
+pub fn srgb_to_linear(x: f64) -> f64 {
+    if x <= 0.04045 { x / 12.92 } else { libm::pow((x + 0.055) / 1.055, 2.4) }
+}

@@ -1,0 +1,83 @@
+//! Maps from the unit square to directions and points, each beside its density.
+
+use glam::{Vec2, Vec3};
+use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4, PI};
+
+/// Density of [`uniform_hemisphere`] in solid angle.
+pub const UNIFORM_HEMISPHERE_PDF: f32 = 0.5 * FRAC_1_PI;
+/// Density of [`uniform_sphere`] in solid angle.
+pub const UNIFORM_SPHERE_PDF: f32 = 0.25 * FRAC_1_PI;
+
+/// A direction with z ≥ 0, uniform in solid angle.
+#[inline]
+pub fn uniform_hemisphere(u: Vec2) -> Vec3 {
+    around_z(u.x, u.y)
+}
+
+/// A direction, uniform in solid angle.
+#[inline]
+pub fn uniform_sphere(u: Vec2) -> Vec3 {
+    around_z(1.0 - 2.0 * u.x, u.y)
+}
+
+/// The unit vector with this cosine to z, at the angle 2π·turn around it.
+#[inline]
+pub fn around_z(cos_theta: f32, turn: f32) -> Vec3 {
+    let sin_theta = (1.0 - cos_theta * cos_theta).max(0.0).sqrt();
+    let (sin_phi, cos_phi) = libm::sincosf(2.0 * PI * turn);
+    Vec3::new(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta)
+}
+
+/// A direction with z ≥ 0, its density proportional to the cosine.
+#[inline]
+pub fn cosine_hemisphere(u: Vec2) -> Vec3 {
+    let p = concentric_disk(u);
+    Vec3::new(p.x, p.y, (1.0 - p.length_squared()).max(0.0).sqrt())
+}
+
+/// Density of [`cosine_hemisphere`] in solid angle.
+#[inline]
+pub fn cosine_hemisphere_pdf(cos_theta: f32) -> f32 {
+    cos_theta.max(0.0) * FRAC_1_PI
+}
+
+/// A point in the unit disk, uniform in area, neighbours staying neighbours (Shirley & Chiu 1997).
+#[inline]
+pub fn concentric_disk(u: Vec2) -> Vec2 {
+    let p = 2.0 * u - Vec2::ONE;
+    if p == Vec2::ZERO {
+        return Vec2::ZERO;
+    }
+    let (r, angle) =
+        if p.x.abs() > p.y.abs() { (p.x, FRAC_PI_4 * (p.y / p.x)) } else { (p.y, FRAC_PI_2 - FRAC_PI_4 * (p.x / p.y)) };
+    let (sin, cos) = libm::sincosf(angle);
+    r * Vec2::new(cos, sin)
+}
+
+/// Barycentric coordinates (of vertices 1 and 2), uniform in area over a triangle (Heitz 2019, "A Low-Distortion Map
+/// Between Triangle and Square").
+#[inline]
+pub fn uniform_triangle(u: Vec2) -> Vec2 {
+    if u.y > u.x {
+        let x = 0.5 * u.x;
+        Vec2::new(x, u.y - x)
+    } else {
+        let y = 0.5 * u.y;
+        Vec2::new(u.x - y, y)
+    }
+}
+
+/// A direction within a cone around z, uniform in solid angle; its density is 1 / (2π·`one_minus_cos_max`).
+#[inline]
+pub fn uniform_cone(u: Vec2, one_minus_cos_max: f32) -> Vec3 {
+    let height = u.x * one_minus_cos_max; // 1 − cos θ, kept apart so that narrow cones keep their digits
+    let sin_theta = (height * (2.0 - height)).max(0.0).sqrt();
+    let (sin_phi, cos_phi) = libm::sincosf(2.0 * PI * u.y);
+    Vec3::new(sin_theta * cos_phi, sin_theta * sin_phi, 1.0 - height)
+}
+
+/// Density of [`uniform_cone`] in solid angle.
+#[inline]
+pub fn uniform_cone_pdf(one_minus_cos_max: f32) -> f32 {
+    1.0 / (2.0 * PI * one_minus_cos_max)
+}

@@ -1,0 +1,181 @@
+//! Analytic answers: scenes whose radiance is known from a formula, rendered and compared within their own error bars.
+
+#![allow(clippy::unwrap_used)]
+
+use glam::{Affine3, Mat3, Vec3};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use tilecast_core::bvh::simd::Isa;
+use tilecast_core::film::{self, Film};
+use tilecast_core::scene::{
+    Bsdf, BsdfId, Emitter, FovAxis, Geometry, Mesh, MeshId, Scene, Sensor, Shape, Texture, TextureId,
+};
+use tilecast_core::settings::{
+    Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window,
+};
+use tilecast_core::trace::Tracer;
+use tilecast_core::world::World;
+
+const ALL_STRATEGIES: [Strategy; 5] =
+    [Strategy::Uniform, Strategy::Cosine, Strategy::Bsdf, Strategy::Light, Strategy::Mis];
+
+fn camera(from: Vec3, x: Vec3, y: Vec3, z: Vec3) -> Sensor {
+    Sensor::Perspective {
+        to_world: Affine3 { matrix3: Mat3::from_cols(x, y, z), translation: from },
+        fov_degrees: 40.0,
+        fov_axis: FovAxis::X,
+        principal_point_offset: [0.0; 2],
+        near_clip: 1e-3,
+        far_clip: 1e4,
+    }
+}
+
+fn settings(side: u32, spp: u32, strategy: Strategy) -> Settings {
+    Settings {
+        film: FilmSettings {
+            width: side,
+            height: side,
+            crop: Window { x0: 0, y0: 0, x1: side, y1: side },
+            filter: Filter::Box,
+        },
+        spp,
+        seed: 1,
+        integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
+        strategy,
+        sampler: SamplerKind::Sobol,
+        scale_exponent: film::scale_exponent(100.0),
+    }
+}
+
+fn render(scene: &Scene, settings: &Settings) -> Film {
+    scene.validate().unwrap();
+    let tracer = Tracer::new(Arc::new(World::compile(scene)), settings.clone(), Isa::detect()).unwrap();
+    let mut film = Film::new(settings);
+    let never = AtomicBool::new(false);
+    film.merge(&tracer.trace(settings.film.crop, 0..settings.spp, &never).unwrap().unwrap());
+    film
+}
+
+/// Mean over the image's red channel, and the standard error of it (pixels are independent).
+fn mean_and_error(film: &Film) -> (f64, f64) {
+    let w = film.window;
+    let estimates = (w.y0..w.y1).flat_map(|y| (w.x0..w.x1).map(move |x| (x, y))).map(|(x, y)| film.estimate(x, y));
+    let (sum, variance) =
+        estimates.fold((0.0, 0.0), |(s, v), e| (s + f64::from(e.mean[0]), v + f64::from(e.variance[0])));
+    let n = w.area() as f64;
+    (sum / n, variance.sqrt() / n)
+}
+
+fn scene(sensor: Sensor, albedo: f32, shapes: Vec<Shape>) -> Scene {
+    Scene {
+        sensor,
+        shapes,
+        bsdfs: vec![Bsdf::Diffuse { reflectance: TextureId(0) }],
+        textures: vec![Texture::Constant(Vec3::splat(albedo)), Texture::Constant(Vec3::ONE)],
+        emitters: Vec::new(),
+        meshes: Vec::new(),
+        images: Vec::new(),
+        origin: [0.0; 3],
+    }
+}
+
+fn shape(geometry: Geometry, emits: bool) -> Shape {
+    Shape { name: "shape".into(), geometry, bsdf: BsdfId(0), radiance: emits.then_some(TextureId(1)) }
+}
+
+/// A box of two units, normals inwards.
+fn room() -> Mesh {
+    let positions =
+        (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * 2.0 - 1.0).collect();
+    let quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    Mesh { positions, triangles, ..Mesh::default() }
+}
+
+/// A closed furnace with albedo a and emission 1: L = Σ aᵏ = 1/(1−a), for every strategy. Fails if Russian roulette is not
+/// divided out, if a density lacks its 1/π, or if rays escape.
+#[test]
+fn a_furnace_sums_the_geometric_series() {
+    let sensor = camera(Vec3::new(0.2, 0.1, -0.3), Vec3::X, Vec3::Y, Vec3::Z);
+    for albedo in [0.2f32, 0.5, 0.9] {
+        let truth = 1.0 / (1.0 - f64::from(albedo));
+        let sphere = Geometry::Sphere { to_world: Affine3::IDENTITY, flip_normals: true };
+        let mut boxed = scene(sensor.clone(), albedo, vec![shape(Geometry::Mesh(MeshId(0)), true)]);
+        boxed.meshes.push(Arc::new(room()));
+        for (name, scene) in [("sphere", scene(sensor.clone(), albedo, vec![shape(sphere, true)])), ("box", boxed)] {
+            for strategy in ALL_STRATEGIES {
+                // Uniform weights 2a cos θ have the second moment 4a²/3 a bounce: from a = √¾ on the variance is infinite.
+                if strategy == Strategy::Uniform && albedo > 0.86 {
+                    continue;
+                }
+                let (mean, error) = mean_and_error(&render(&scene, &settings(16, 256, strategy)));
+                assert!(
+                    (mean - truth).abs() < 4.0 * error + 1e-5 * truth,
+                    "{name} a={albedo} {strategy:?}: {mean} ± {error} for {truth}"
+                );
+                assert!(error < 0.01 * truth, "{name} {strategy:?}: error {error} is too large to tell");
+            }
+        }
+    }
+}
+
+/// A white diffuse plane under a constant sky of radiance 1 shows its albedo.
+#[test]
+fn a_plane_under_the_sky_shows_its_albedo() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let mut sky = scene(camera(Vec3::Z * 2.0, Vec3::X, -Vec3::Y, -Vec3::Z), 0.6, vec![shape(plane, false)]);
+    sky.emitters.push(Emitter::Constant { radiance: Vec3::ONE });
+    for strategy in ALL_STRATEGIES {
+        let (mean, error) = mean_and_error(&render(&sky, &settings(16, 64, strategy)));
+        assert!((mean - 0.6).abs() < 4.0 * error + 1e-5, "{strategy:?}: {mean} ± {error}");
+    }
+}
+
+/// Irradiance I cos θ / d² from a point light, E cos θ from parallel light, times albedo/π; depth 2 is direct light.
+#[test]
+fn delta_lights_have_their_formulas() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let mut lit = scene(camera(Vec3::Z * 2.0, Vec3::X, -Vec3::Y, -Vec3::Z), 0.5, vec![shape(plane, false)]);
+    let position = Vec3::new(0.0, 0.0, 3.0);
+    let direction = Vec3::new(0.6, 0.0, -0.8);
+    let mut narrow = settings(1, 64, Strategy::Mis);
+    narrow.film =
+        FilmSettings { width: 101, height: 101, crop: Window { x0: 50, y0: 50, x1: 51, y1: 51 }, ..narrow.film };
+    let albedo_over_pi = 0.5 / std::f64::consts::PI;
+    lit.emitters = vec![Emitter::Point { position, intensity: Vec3::splat(9.0) }];
+    let (mean, _) = mean_and_error(&render(&lit, &narrow));
+    assert!((mean - albedo_over_pi).abs() < 1e-4, "point light: {mean}");
+    lit.emitters = vec![Emitter::Directional { direction, irradiance: Vec3::splat(2.0) }];
+    let (mean, _) = mean_and_error(&render(&lit, &narrow));
+    assert!((mean - 1.6 * albedo_over_pi).abs() < 1e-4, "parallel light: {mean}");
+}
+
+/// The irradiance below a disk light of radius r at height h is π L r²/(r² + h²); a sphere light of radius r at distance d:
+/// π L r²/d².
+#[test]
+fn area_lights_have_their_form_factors() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let disk = Geometry::Disk { to_world: Affine3::from_translation(Vec3::Z * 2.0), flip_normals: true };
+    let sphere = Geometry::Sphere { to_world: Affine3::from_translation(Vec3::Z * 3.0), flip_normals: false };
+    // From below the lights, looking straight down.
+    let sensor = camera(Vec3::Z * 0.5, Vec3::X, -Vec3::Y, -Vec3::Z);
+    for (light, form_factor) in [(disk, 1.0 / 5.0), (sphere, 1.0 / 9.0)] {
+        let lit = scene(sensor.clone(), 0.5, vec![shape(plane.clone(), false), shape(light, true)]);
+        for strategy in ALL_STRATEGIES {
+            let mut one = settings(1, 1 << 16, strategy);
+            one.integrator.kind = IntegratorKind::Direct;
+            one.film = FilmSettings {
+                width: 1001,
+                height: 1001,
+                crop: Window { x0: 500, y0: 500, x1: 501, y1: 501 },
+                ..one.film
+            };
+            let film = render(&lit, &one);
+            let estimate = film.estimate(500, 500);
+            let (mean, error) = (f64::from(estimate.mean[0]), f64::from(estimate.variance[0]).sqrt());
+            let truth = 0.5 * form_factor;
+            // The lit surface's own albedo/π · π L F; three degrees of freedom make the bars wide.
+            assert!((mean - truth).abs() < 9.0 * error + 1e-5, "{strategy:?}: {mean} ± {error} for {truth}");
+        }
+    }
+}
