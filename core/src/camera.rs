@@ -37,7 +37,7 @@ impl Camera {
         let tan_half = half_width_tangent(*fov_degrees, *fov_axis, width, height);
         // The film's x runs to the right of the picture, the camera's to its left; the film's y runs down, the camera's up.
         let scale = Vec2::splat(-2.0 * tan_half / width);
-        let centre = Vec2::new((0.5 + principal_point_offset[0]) * width, (0.5 + principal_point_offset[1]) * height);
+        let centre = Vec2::new((0.5 - principal_point_offset[0]) * width, (0.5 - principal_point_offset[1]) * height);
         Self {
             position: to_world.translation,
             axes: to_world.matrix3,

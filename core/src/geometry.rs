@@ -56,6 +56,17 @@ pub enum Hit {
     },
 }
 
+impl Hit {
+    /// Ray parameter.
+    #[inline]
+    pub fn t(&self) -> f32 {
+        match self {
+            Hit::Triangle(hit) => hit.t,
+            Hit::Analytic { t, .. } => *t,
+        }
+    }
+}
+
 impl Geometry {
     /// Lays out the shapes of a scene and builds their hierarchies. `first_lights` has, for each shape that emits, the light
     /// of its first primitive.

@@ -50,16 +50,16 @@ impl Estimator {
         let mut last_segment = false;
         let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
         for depth in 0.. {
-            let visible = depth > 0 || !self.integrator.hide_emitters;
-            let Some(hit) = world.geometry.closest(lanes, &ray) else {
-                if visible {
+            let hidden = depth == 0 && self.integrator.hide_emitters;
+            let Some(surface) = next_surface(lanes, world, &mut ray, hidden) else {
+                if !hidden {
                     radiance += throughput * self.background(world, origin);
                 }
                 break;
             };
-            let surface = world.geometry.surface(&ray, hit);
-            if let Some(light) = surface.light.filter(|_| visible) {
-                radiance += throughput * self.emitted(world, &surface, light, origin, -ray.direction);
+            let wo = -ray.direction;
+            if let Some(light) = surface.light {
+                radiance += throughput * self.emitted(world, &surface, light, origin, wo);
             }
             if last_segment || max_depth.is_some_and(|max| depth + 1 >= max) {
                 break;
@@ -67,7 +67,6 @@ impl Estimator {
 
             sampler.at_surface(depth);
             let mut lobe = sampler.one(Slot::Lobe);
-            let wo = -ray.direction.normalize();
             let shading = world.materials.at(&world.textures, &surface, wo, &mut lobe);
             let wo = shading.frame.to_local(wo);
             if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
@@ -164,6 +163,19 @@ impl Estimator {
             }
         };
         (pdf > 0.0).then(|| Sample { wi, weight: closure.eval(wo, wi).value / pdf, pdf, eta: 1.0 })
+    }
+}
+
+/// The surface that a ray meets; if emitters are `hidden`, the first that does not emit.
+#[inline]
+fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool) -> Option<Surface> {
+    loop {
+        let hit = world.geometry.closest(lanes, ray)?;
+        let surface = world.geometry.surface(ray, hit);
+        if !hidden || surface.light.is_none() {
+            return Some(surface);
+        }
+        *ray = surface.ray(ray.direction, ray.t_max - hit.t());
     }
 }
 

@@ -98,7 +98,7 @@ pub struct Integrator {
     pub max_depth: Option<u32>,
     /// From this depth on paths may end by Russian roulette.
     pub rr_depth: u32,
-    /// Emitters are invisible to the camera itself.
+    /// Emitters are invisible to the camera: its rays pass through shapes that emit, and the background is black to them.
     pub hide_emitters: bool,
 }
 

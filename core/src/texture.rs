@@ -43,8 +43,7 @@ impl Textures {
         let p = Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32);
         let fetch = |x: f32, y: f32| {
             let (x, y) = (wrapped(x, image.width, wrap), wrapped(y, image.height, wrap));
-            // v runs up, rows run down.
-            self.texel(image, (image.height - 1 - y) as usize * image.width as usize + x as usize)
+            self.texel(image, y as usize * image.width as usize + x as usize)
         };
         match filter {
             FilterType::Nearest => fetch(p.x.floor(), p.y.floor()),
@@ -52,9 +51,9 @@ impl Textures {
                 let corner = p - Vec2::splat(0.5);
                 let (x, y) = (corner.x.floor(), corner.y.floor());
                 let (fx, fy) = (corner.x - x, corner.y - y);
-                let bottom = fetch(x, y) * (1.0 - fx) + fetch(x + 1.0, y) * fx;
-                let top = fetch(x, y + 1.0) * (1.0 - fx) + fetch(x + 1.0, y + 1.0) * fx;
-                bottom * (1.0 - fy) + top * fy
+                let upper = fetch(x, y) * (1.0 - fx) + fetch(x + 1.0, y) * fx;
+                let lower = fetch(x, y + 1.0) * (1.0 - fx) + fetch(x + 1.0, y + 1.0) * fx;
+                upper * (1.0 - fy) + lower * fy
             }
         }
     }

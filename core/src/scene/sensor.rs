@@ -14,7 +14,8 @@ pub enum Sensor {
         fov_degrees: f32,
         /// What the field of view measures.
         fov_axis: FovAxis,
-        /// Shift of the principal point, as fractions of the film's width and height.
+        /// Added to film coordinates, as fractions of the film's width and height: a positive one moves the picture to the
+        /// left and up.
         principal_point_offset: [f32; 2],
         /// Surfaces nearer than this along the camera's axis are not seen.
         near_clip: f32,

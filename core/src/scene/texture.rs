@@ -60,7 +60,8 @@ pub enum WrapMode {
     Clamp,
 }
 
-/// A decoded image in its smallest exact form, row 0 at the top of the picture. Texture coordinate v = 0 is the bottom.
+/// A decoded image in its smallest exact form, row 0 at the top of the picture. Texture coordinates (0, 0) are its top left
+/// corner, v runs down, as Mitsuba has it; texel centres lie at half-integers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// Pixels across.
