@@ -238,6 +238,47 @@ impl Film {
         Digest(*hasher.finalize().as_bytes())
     }
 
+    /// The sums of all pixels, row by row through the window.
+    pub fn sums(&self) -> &[PixelSums] {
+        &self.sums
+    }
+
+    /// How many samples each replicate of each pixel has, in the same order.
+    pub fn counts(&self) -> &[[u32; REPLICATES]] {
+        &self.counts
+    }
+
+    /// A film from [`Film::sums`] and [`Film::counts`] that came from elsewhere; `None` if they do not fill the window or
+    /// hold sums that so many samples cannot make.
+    pub fn from_parts(
+        window: Window,
+        scale_exponent: i32,
+        sums: Vec<PixelSums>,
+        counts: Vec<[u32; REPLICATES]>,
+    ) -> Option<Self> {
+        let bounded = |(sums, counts): (&PixelSums, &[u32; REPLICATES])| {
+            let bounds = counts.map(|n| u128::from(n) << SAMPLE_BITS);
+            sums.0.iter().zip(bounds).all(|(channels, bound)| channels.iter().all(|s| s.unsigned_abs() <= bound))
+        };
+        let fills = sums.len() as u64 == window.area() && counts.len() as u64 == window.area();
+        let valid = fills && sums.iter().zip(&counts).all(bounded);
+        valid.then_some(Self { window, scale_exponent, sums, counts })
+    }
+
+    /// The estimated relative error of the picture, √(Σ variance of the mean / Σ mean²) over at most `pixels_max` pixels
+    /// spread evenly and all channels; `None` while too few replicates have samples, or for a black picture.
+    pub fn relative_error(&self, pixels_max: u64) -> Option<f32> {
+        let step = self.window.area().div_ceil(pixels_max.max(1)).max(1);
+        let (mut error, mut power) = (0.0, 0.0);
+        for i in (0..self.window.area()).step_by(usize::try_from(step).ok()?) {
+            let width = u64::from(self.window.width());
+            let estimate = self.estimate(self.window.x0 + (i % width) as u32, self.window.y0 + (i / width) as u32);
+            error += estimate.variance.iter().map(|&v| f64::from(v)).sum::<f64>();
+            power += estimate.mean.iter().map(|&m| f64::from(m) * f64::from(m)).sum::<f64>();
+        }
+        (error.is_finite() && power > 0.0).then(|| (error / power).sqrt() as f32)
+    }
+
     fn index(&self, x: u32, y: u32) -> usize {
         (y - self.window.y0) as usize * self.window.width() as usize + (x - self.window.x0) as usize
     }

@@ -27,3 +27,6 @@ pub mod texture;
 pub mod trace;
 pub mod warp;
 pub mod world;
+
+/// The engine's version. The bits of an image depend on it: workers of one job must have the same.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");

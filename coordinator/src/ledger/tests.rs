@@ -1,0 +1,348 @@
+//! The ledger's promises, under random workers, deaths, repetitions and delays; time is a number here.
+
+use super::*;
+use proptest::prelude::*;
+use std::collections::HashMap;
+use tilecast_core::scene::Digest;
+use tilecast_core::settings::{
+    Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy as Directions, Window,
+};
+
+pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
+    Settings {
+        film: Film { width, height, crop: Window { x0: 0, y0: 0, x1: width, y1: height }, filter: Filter::Box },
+        spp,
+        seed: 0,
+        integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
+        strategy: Directions::Mis,
+        sampler: SamplerKind::Sobol,
+        scale_exponent: 60,
+    }
+}
+
+fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
+    JobSpec {
+        scene: Digest([1; 32]),
+        settings: settings(width, height, spp),
+        tile: Some(16),
+        name: String::new(),
+        workers_hold_scene: false,
+    }
+}
+
+fn info(threads: u32) -> WorkerInfo {
+    WorkerInfo { threads, isa: String::new(), host: "h".into(), pid: 1, name: "w".into() }
+}
+
+/// A ledger, the time, and how often each sample of each pixel has been counted.
+struct World {
+    ledger: Ledger,
+    now: Duration,
+    counted: HashMap<(JobId, u32, u32, u32), u32>,
+}
+
+impl World {
+    fn new(jobs: &[JobSpec]) -> Self {
+        let mut ledger = Ledger::new(0);
+        for job in jobs {
+            ledger.add_job(Duration::ZERO, job.clone()).unwrap();
+        }
+        Self { ledger, now: Duration::ZERO, counted: HashMap::new() }
+    }
+
+    fn worker(&mut self, threads: u32) -> WorkerId {
+        self.ledger.register(self.now, info(threads)).unwrap()
+    }
+
+    fn lease(&mut self, worker: WorkerId, slots: u32) -> Option<Vec<Lease>> {
+        let request = LeaseRequest { worker, slots, known_jobs: Vec::new() };
+        Some(self.ledger.lease(self.now, &request).ok()?.leases)
+    }
+
+    fn submit(&mut self, worker: WorkerId, lease: &Lease, trace_ms: u64) -> Verdict {
+        let settings = self.ledger.progress(self.now, lease.unit.job).unwrap().settings;
+        let header = ResultHeader {
+            worker,
+            fence: lease.fence,
+            unit: lease.unit.clone(),
+            key: work_key(&Digest([1; 32]), &settings),
+            trace: Duration::from_millis(trace_ms),
+            bytes: 0,
+        };
+        let verdict = self.ledger.accept(self.now, &header).verdict;
+        if verdict == Verdict::Accepted {
+            let Unit { job, tile, samples } = lease.unit.clone();
+            for (y, x) in (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (y, x))) {
+                samples.clone().for_each(|i| *self.counted.entry((job, x, y, i)).or_default() += 1);
+            }
+            self.ledger.merged(self.now, job);
+        }
+        verdict
+    }
+
+    fn state(&self, job: u64) -> JobState {
+        self.ledger.progress(self.now, JobId(job)).unwrap().state
+    }
+
+    /// One worker that always succeeds does what is left; how many leases it took.
+    fn finish(&mut self) -> usize {
+        let worker = self.worker(2);
+        let mut leases = 0;
+        loop {
+            self.now += Duration::from_millis(600);
+            self.ledger.expire(self.now);
+            let work = self.lease(worker, 4).unwrap();
+            let busy = self.ledger.workers.values().any(|w| !w.leases.is_empty());
+            if work.is_empty() && !busy {
+                return leases;
+            }
+            leases += work.len();
+            assert!(leases < 100_000, "no end in sight");
+            for lease in work {
+                self.submit(worker, &lease, 100);
+            }
+        }
+    }
+
+    fn every_sample_counts_once(&self, jobs: &[JobSpec]) {
+        let total: u64 = jobs.iter().map(|j| j.settings.film.crop.area() * u64::from(j.settings.spp)).sum();
+        assert_eq!(self.counted.len() as u64, total);
+        assert!(self.counted.values().all(|&n| n == 1));
+    }
+}
+
+/// What may happen to a random worker.
+#[derive(Clone, Debug)]
+enum Event {
+    Join(u32),
+    Lease(u32),
+    Submit { which: usize, trace_ms: u64, again: bool },
+    Panic(usize),
+    BadScene(usize),
+    Beat,
+    Leave,
+    Wait(u64),
+}
+
+fn events() -> impl Strategy<Value = Vec<(usize, Event)>> {
+    let event = prop_oneof![
+        1 => (1u32..5).prop_map(Event::Join),
+        4 => (1u32..9).prop_map(Event::Lease),
+        8 => (any::<usize>(), 0u64..3000, any::<bool>())
+            .prop_map(|(which, trace_ms, again)| Event::Submit { which, trace_ms, again }),
+        1 => any::<usize>().prop_map(Event::Panic),
+        1 => any::<usize>().prop_map(Event::BadScene),
+        2 => Just(Event::Beat),
+        1 => Just(Event::Leave),
+        3 => (0u64..4000).prop_map(Event::Wait),
+    ];
+    prop::collection::vec((any::<usize>(), event), 0..200)
+}
+
+/// A worker's memory: it keeps leases for ever, also those that are long another's.
+type Memory = (WorkerId, Vec<Lease>);
+
+fn play(world: &mut World, workers: &mut Vec<Memory>, who: usize, event: Event) {
+    let count = workers.len();
+    if let Event::Join(threads) = event {
+        return workers.push((world.worker(threads), Vec::new()));
+    }
+    if let Event::Wait(ms) = event {
+        world.now += Duration::from_millis(ms);
+        world.ledger.expire(world.now);
+        return;
+    }
+    if count == 0 {
+        return;
+    }
+    let (id, held) = &mut workers[who % count];
+    match event {
+        Event::Lease(slots) => held.extend(world.lease(*id, slots).unwrap_or_default()),
+        Event::Submit { which, trace_ms, again } if !held.is_empty() => {
+            let which = which % held.len();
+            let lease = if again { held[which].clone() } else { held.swap_remove(which) };
+            world.submit(*id, &lease, trace_ms);
+            assert_ne!(world.submit(*id, &lease, trace_ms), Verdict::Accepted, "counted twice");
+        }
+        Event::Panic(which) if !held.is_empty() => {
+            let fence = held[which % held.len()].fence;
+            let _ = world.ledger.fail(world.now, *id, fence, Failure::Panic("p".into()));
+        }
+        Event::BadScene(which) if !held.is_empty() => {
+            let fence = held[which % held.len()].fence;
+            let _ = world.ledger.fail(world.now, *id, fence, Failure::Scene("s".into()));
+        }
+        Event::Beat => {
+            let beat = Heartbeat { worker: *id, fences: held.iter().map(|l| l.fence).collect(), samples: 0 };
+            if let Ok(reply) = world.ledger.heartbeat(world.now, &beat) {
+                held.retain(|lease| !reply.drop.contains(&lease.fence));
+            }
+        }
+        Event::Leave => world.ledger.leave(*id),
+        _ => {}
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Whatever happens, no sample counts twice; and unless the ledger gave the job up, saying so, a worker that succeeds
+    /// finishes it with every sample counted.
+    #[test]
+    fn every_sample_counts_exactly_once(
+        events in events(),
+        sizes in prop::collection::vec((1u32..50, 1u32..40, 1u32..40), 1..3),
+    ) {
+        let jobs: Vec<JobSpec> = sizes.iter().map(|&(w, h, spp)| spec(w, h, spp)).collect();
+        let mut world = World::new(&jobs);
+        let mut workers = Vec::new();
+        for (who, event) in events {
+            play(&mut world, &mut workers, who, event);
+        }
+        world.finish();
+        prop_assert!(world.counted.values().all(|&n| n == 1));
+        for (i, job) in jobs.iter().enumerate() {
+            let id = JobId(i as u64 + 1);
+            let counted = world.counted.keys().filter(|key| key.0 == id).count() as u64;
+            let total = job.settings.film.crop.area() * u64::from(job.settings.spp);
+            match world.state(id.0) {
+                JobState::Finished => prop_assert_eq!(counted, total),
+                JobState::Failed(why) => prop_assert!(why.contains("3 times") || why.contains("no worker can")),
+                other => prop_assert!(false, "job {} is {:?}", id, other),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_silent_workers_units_are_given_out_again_in_time() {
+    let jobs = [spec(32, 32, 4)];
+    let mut world = World::new(&jobs);
+    let (dead, alive) = (world.worker(1), world.worker(1));
+    let lost = world.lease(dead, 1000).unwrap();
+    assert!(!lost.is_empty());
+    assert!(world.lease(alive, 1000).unwrap().is_empty());
+    world.now += LEASE_SILENCE;
+    world.ledger.heartbeat(world.now, &Heartbeat { worker: alive, fences: Vec::new(), samples: 0 }).unwrap();
+    assert!(world.ledger.expire(world.now));
+    let again = world.lease(alive, 1000).unwrap();
+    assert_eq!(again.iter().map(|l| &l.unit).collect::<Vec<_>>(), lost.iter().map(|l| &l.unit).collect::<Vec<_>>());
+    // The dead one was only slow: its results count, and the other is told to stop.
+    lost.iter().for_each(|lease| assert_eq!(world.submit(dead, lease, 1), Verdict::Accepted));
+    let beat = Heartbeat { worker: alive, fences: again.iter().map(|l| l.fence).collect(), samples: 0 };
+    assert_eq!(world.ledger.heartbeat(world.now, &beat).unwrap().drop.len(), again.len());
+    assert_eq!(world.submit(alive, &again[0], 1), Verdict::Ended);
+    world.every_sample_counts_once(&jobs);
+    assert_eq!(world.state(1), JobState::Finished);
+}
+
+#[test]
+fn heartbeats_keep_a_lease() {
+    let mut world = World::new(&[spec(32, 32, 4)]);
+    let worker = world.worker(1);
+    let leases = world.lease(worker, 1).unwrap();
+    for _ in 0..60 {
+        world.now += Duration::from_secs(1);
+        let beat = Heartbeat { worker, fences: leases.iter().map(|l| l.fence).collect(), samples: 0 };
+        assert_eq!(world.ledger.heartbeat(world.now, &beat), Ok(HeartbeatReply::default()));
+        assert!(!world.ledger.expire(world.now));
+    }
+    // A heartbeat that does not name them does not: the reply with the leases may never have arrived.
+    let beat = Heartbeat { worker, fences: Vec::new(), samples: 0 };
+    world.now += LEASE_SILENCE;
+    world.ledger.heartbeat(world.now, &beat).unwrap();
+    assert!(world.ledger.expire(world.now));
+    assert_eq!(world.lease(worker, 1).unwrap()[0].unit, leases[0].unit);
+}
+
+#[test]
+fn a_result_for_another_job_of_the_same_number_is_stale() {
+    let mut world = World::new(&[spec(32, 32, 4)]);
+    let worker = world.worker(1);
+    let lease = world.lease(worker, 1).unwrap().remove(0);
+    let header = ResultHeader {
+        worker,
+        fence: lease.fence,
+        unit: lease.unit,
+        key: Digest([9; 32]),
+        trace: Duration::from_millis(1),
+        bytes: 0,
+    };
+    assert_eq!(world.ledger.accept(world.now, &header).verdict, Verdict::Stale);
+}
+
+#[test]
+fn a_sample_without_value_fails_the_job_and_the_next_one_goes_on() {
+    let mut world = World::new(&[spec(32, 32, 4), spec(16, 16, 1)]);
+    let worker = world.worker(1);
+    let lease = world.lease(worker, 1).unwrap().remove(0);
+    world.ledger.fail(world.now, worker, lease.fence, Failure::Sample("sample 3 of pixel (1, 2)".into())).unwrap();
+    assert_eq!(world.state(1), JobState::Failed("sample 3 of pixel (1, 2)".into()));
+    world.finish();
+    assert_eq!(world.state(2), JobState::Finished);
+    assert_eq!(world.ledger.take_ended(), [JobId(1), JobId(2)]);
+}
+
+#[test]
+fn a_unit_that_panics_goes_elsewhere_and_not_for_ever() {
+    let mut world = World::new(&[spec(16, 16, 4)]);
+    let (a, b) = (world.worker(1), world.worker(1));
+    let fail = |world: &mut World, worker, lease: &Lease| {
+        world.ledger.fail(world.now, worker, lease.fence, Failure::Panic("index out of range".into())).unwrap();
+    };
+    let first = world.lease(a, 1).unwrap().remove(0);
+    fail(&mut world, a, &first);
+    fail(&mut world, a, &first); // Repeated: not its lease any more.
+    assert!(world.lease(a, 1).unwrap().is_empty(), "the same worker again");
+    let second = world.lease(b, 1).unwrap().remove(0);
+    fail(&mut world, b, &second);
+    let third = world.lease(a, 1).unwrap().remove(0);
+    assert_eq!(world.state(1), JobState::Running);
+    fail(&mut world, a, &third);
+    assert!(matches!(world.state(1), JobState::Failed(why) if why.contains("index out of range")));
+}
+
+#[test]
+fn a_worker_that_cannot_have_the_scene_gets_none_of_it() {
+    let mut world = World::new(&[spec(32, 32, 4)]);
+    let (a, b) = (world.worker(1), world.worker(1));
+    let leases = world.lease(a, 2).unwrap();
+    world.ledger.fail(world.now, a, leases[0].fence, Failure::Scene("too large".into())).unwrap();
+    assert!(world.lease(a, 4).unwrap().is_empty());
+    assert_eq!(world.state(1), JobState::Running);
+    let lease = world.lease(b, 4).unwrap().remove(0);
+    world.ledger.fail(world.now, b, lease.fence, Failure::Scene("too large".into())).unwrap();
+    assert!(matches!(world.state(1), JobState::Failed(why) if why.contains("too large")));
+}
+
+/// A thread that does a million samples a second gets units of about a second, and many small ones at the end.
+#[test]
+fn units_fit_the_worker_and_shrink_towards_the_end() {
+    let jobs = [JobSpec { tile: Some(64), ..spec(256, 256, 512) }];
+    let mut world = World::new(&jobs);
+    let worker = world.worker(2);
+    let mut sizes = Vec::new();
+    while let Some(leases) = world.lease(worker, 1).filter(|leases| !leases.is_empty()) {
+        for lease in leases {
+            sizes.push(lease.unit.len());
+            let trace_ms = lease.unit.len() / 1000;
+            // Counted for the ledger alone: a map of all samples would be large.
+            let header = ResultHeader {
+                worker,
+                fence: lease.fence,
+                key: work_key(&jobs[0].scene, &jobs[0].settings),
+                unit: lease.unit,
+                trace: Duration::from_millis(trace_ms),
+                bytes: 0,
+            };
+            assert_eq!(world.ledger.accept(world.now, &header).verdict, Verdict::Accepted);
+            world.ledger.merged(world.now, JobId(1));
+        }
+    }
+    assert_eq!(world.state(1), JobState::Finished);
+    let largest = sizes.iter().copied().max().unwrap();
+    assert!((700_000..=1_500_000).contains(&largest), "{largest}");
+    let last = sizes[sizes.len() - 4..].iter().copied().max().unwrap();
+    assert!(last <= 64 * 64 * 16, "the last units have {last} samples");
+    assert!(sizes.len() < 250, "{} units", sizes.len());
+}

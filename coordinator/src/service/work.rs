@@ -1,0 +1,128 @@
+//! The service that workers call.
+
+use super::{Shared, lock, panicked};
+use bytes::{Bytes, BytesMut};
+use std::sync::Arc;
+use std::time::Duration;
+use tilecast_proto::client::chunks;
+use tilecast_proto::convert::{self, WireError};
+use tilecast_proto::limits::{HEARTBEAT_MS, LEASE_WAIT_MS};
+use tilecast_proto::types::{
+    Failure, Fence, Heartbeat, JobId, LeaseRequest, ResultHeader, Verdict, WorkerId, WorkerInfo,
+};
+use tilecast_proto::wire::work_server;
+use tilecast_proto::wire::{
+    BlobRequest, Chunk, FailReply, FailRequest, HeartbeatReply, HeartbeatRequest, Hello, LeaveReply, LeaveRequest,
+    ResultChunk, SubmitReply, Welcome,
+};
+use tilecast_proto::{types, wire};
+use tokio::time::Instant;
+use tokio_stream::Stream;
+use tonic::{Request, Response, Status, Streaming};
+
+/// See `Work` in `render.proto`.
+pub(crate) struct Work(pub(crate) Arc<Shared>);
+
+/// Chunks that are at hand.
+type Chunks = std::pin::Pin<Box<dyn Stream<Item = Result<Chunk, Status>> + Send>>;
+
+#[tonic::async_trait]
+impl work_server::Work for Work {
+    type GetBlobStream = Chunks;
+
+    async fn register(&self, request: Request<Hello>) -> Result<Response<Welcome>, Status> {
+        let info = WorkerInfo::try_from(request.into_inner())?;
+        tracing::info!(host = info.host, pid = info.pid, threads = info.threads, isa = info.isa, "worker registers");
+        let worker = self.0.with_ledger(|ledger, now| ledger.register(now, info))?;
+        Ok(Response::new(Welcome { worker: worker.0, heartbeat_ms: HEARTBEAT_MS as u32 }))
+    }
+
+    async fn lease(&self, request: Request<wire::LeaseRequest>) -> Result<Response<wire::LeaseReply>, Status> {
+        let request = LeaseRequest::try_from(request.into_inner())?;
+        let deadline = Instant::now() + Duration::from_millis(LEASE_WAIT_MS);
+        loop {
+            // Made before looking, so that no signal between looking and waiting is lost.
+            let more = self.0.work.notified();
+            let reply = self.0.with_ledger(|ledger, now| ledger.lease(now, &request))?;
+            if !reply.leases.is_empty() {
+                self.0.changed.notify_waiters();
+                return Ok(Response::new(reply.into()));
+            }
+            tokio::select! {
+                () = more => {}
+                () = tokio::time::sleep_until(deadline) => return Ok(Response::new(types::LeaseReply::default().into())),
+                () = self.0.closing.cancelled() => return Err(Status::unavailable("the coordinator is stopping")),
+            }
+        }
+    }
+
+    async fn submit(&self, request: Request<Streaming<ResultChunk>>) -> Result<Response<SubmitReply>, Status> {
+        let mut stream = request.into_inner();
+        let first = stream.message().await?.ok_or(WireError::Stream("has no result"))?;
+        let header = ResultHeader::try_from(first.header.ok_or(WireError::Missing("result.header"))?)?;
+        let verdict = lock(&self.0.ledger).verdict(&header);
+        if verdict != Verdict::Accepted {
+            // Told before the bulk has come.
+            return Ok(Response::new(verdict.into()));
+        }
+        let bytes = result_bytes(&header, first.data, &mut stream).await?;
+        let shared = Arc::clone(&self.0);
+        let merged = tokio::task::spawn_blocking(move || shared.merge(&header, &bytes));
+        Ok(Response::new(merged.await.map_err(panicked)??.into()))
+    }
+
+    async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailReply>, Status> {
+        let (worker, fence, job, failure) = <(WorkerId, Fence, JobId, Failure)>::try_from(request.into_inner())?;
+        tracing::warn!(worker = worker.0, job = job.0, ?failure, "a unit failed");
+        self.0.with_ledger(|ledger, now| ledger.fail(now, worker, fence, failure))?;
+        self.0.work.notify_waiters();
+        self.0.changed.notify_waiters();
+        Ok(Response::new(FailReply {}))
+    }
+
+    async fn heartbeat(&self, request: Request<HeartbeatRequest>) -> Result<Response<HeartbeatReply>, Status> {
+        let beat = Heartbeat::try_from(request.into_inner())?;
+        let reply = self.0.with_ledger(|ledger, now| ledger.heartbeat(now, &beat))?;
+        Ok(Response::new(reply.into()))
+    }
+
+    async fn leave(&self, request: Request<LeaveRequest>) -> Result<Response<LeaveReply>, Status> {
+        let worker = WorkerId(request.into_inner().worker);
+        self.0.with_ledger(|ledger, _| ledger.leave(worker));
+        self.0.work.notify_waiters();
+        self.0.changed.notify_waiters();
+        Ok(Response::new(LeaveReply {}))
+    }
+
+    async fn get_blob(&self, request: Request<BlobRequest>) -> Result<Response<Chunks>, Status> {
+        let digest = convert::digest(&request.into_inner().digest, "digest")?;
+        let missing = || Status::not_found(format!("the coordinator does not have blob {digest}"));
+        let bytes = self.0.blobs().get(&digest).ok_or_else(missing)?;
+        let stream = tokio_stream::iter(chunks(bytes).map(|data| Ok(Chunk { data })));
+        Ok(Response::new(Box::pin(stream)))
+    }
+}
+
+/// All data of a result: as it came if it is one chunk, else put together.
+async fn result_bytes(
+    header: &ResultHeader,
+    first: Bytes,
+    stream: &mut Streaming<ResultChunk>,
+) -> Result<Bytes, Status> {
+    if first.len() == header.bytes {
+        return Ok(first);
+    }
+    // Grows with what comes, up to what the header announced, which is bounded by its tile.
+    let mut all = BytesMut::from(first);
+    while all.len() < header.bytes {
+        let chunk = stream.message().await?.ok_or(WireError::Stream("ends before the result does"))?;
+        if chunk.data.is_empty() {
+            return Err(WireError::Stream("has an empty chunk").into());
+        }
+        all.extend_from_slice(&chunk.data);
+    }
+    if all.len() > header.bytes {
+        return Err(WireError::Stream("is longer than announced").into());
+    }
+    Ok(all.freeze())
+}

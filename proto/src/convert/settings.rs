@@ -1,0 +1,111 @@
+//! Settings, to and from the wire.
+
+use super::{WireError, window};
+use crate::wire;
+use tilecast_core::settings::{
+    FILM_SIDE_MAX, Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy,
+};
+
+impl From<&Settings> for wire::Settings {
+    fn from(settings: &Settings) -> Self {
+        let Film { width, height, crop, filter } = settings.film;
+        let Integrator { kind, max_depth, rr_depth, hide_emitters } = settings.integrator;
+        let filter = match filter {
+            Filter::Box => wire::filter::Kind::Box(wire::BoxFilter {}),
+            Filter::Tent { radius } => wire::filter::Kind::Tent(wire::TentFilter { radius }),
+            Filter::Gaussian { stddev } => wire::filter::Kind::Gaussian(wire::GaussianFilter { stddev }),
+        };
+        let kind = match kind {
+            IntegratorKind::Path => wire::IntegratorKind::Path,
+            IntegratorKind::Direct => wire::IntegratorKind::Direct,
+            IntegratorKind::Whitted => wire::IntegratorKind::Whitted,
+        };
+        let strategy = match settings.strategy {
+            Strategy::Uniform => wire::Strategy::Uniform,
+            Strategy::Cosine => wire::Strategy::Cosine,
+            Strategy::Bsdf => wire::Strategy::Bsdf,
+            Strategy::Light => wire::Strategy::Light,
+            Strategy::Mis => wire::Strategy::Mis,
+        };
+        let sampler = match settings.sampler {
+            SamplerKind::Independent => wire::Sampler::Independent,
+            SamplerKind::Sobol => wire::Sampler::Sobol,
+        };
+        Self {
+            width,
+            height,
+            crop: Some(crop.into()),
+            filter: Some(wire::Filter { kind: Some(filter) }),
+            spp: settings.spp,
+            seed: settings.seed,
+            integrator: Some(wire::Integrator { kind: kind.into(), max_depth, rr_depth, hide_emitters }),
+            strategy: strategy.into(),
+            sampler: sampler.into(),
+            scale_exponent: settings.scale_exponent,
+        }
+    }
+}
+
+impl TryFrom<wire::Settings> for Settings {
+    type Error = WireError;
+
+    fn try_from(message: wire::Settings) -> Result<Self, WireError> {
+        let integrator = message.integrator.ok_or(WireError::Missing("settings.integrator"))?;
+        let filter = message.filter.and_then(|f| f.kind).ok_or(WireError::Missing("settings.filter"))?;
+        let settings = Settings {
+            film: Film {
+                width: message.width,
+                height: message.height,
+                crop: window(message.crop, FILM_SIDE_MAX, "settings.crop")?,
+                filter: match filter {
+                    wire::filter::Kind::Box(_) => Filter::Box,
+                    wire::filter::Kind::Tent(tent) => Filter::Tent { radius: tent.radius },
+                    wire::filter::Kind::Gaussian(gaussian) => Filter::Gaussian { stddev: gaussian.stddev },
+                },
+            },
+            spp: message.spp,
+            seed: message.seed,
+            integrator: Integrator {
+                kind: integrator_kind(integrator.kind)?,
+                max_depth: integrator.max_depth,
+                rr_depth: integrator.rr_depth,
+                hide_emitters: integrator.hide_emitters,
+            },
+            strategy: strategy(message.strategy)?,
+            sampler: sampler(message.sampler)?,
+            scale_exponent: message.scale_exponent,
+        };
+        settings.validate()?;
+        Ok(settings)
+    }
+}
+
+fn integrator_kind(value: i32) -> Result<IntegratorKind, WireError> {
+    match wire::IntegratorKind::try_from(value) {
+        Ok(wire::IntegratorKind::Path) => Ok(IntegratorKind::Path),
+        Ok(wire::IntegratorKind::Direct) => Ok(IntegratorKind::Direct),
+        Ok(wire::IntegratorKind::Whitted) => Ok(IntegratorKind::Whitted),
+        Ok(wire::IntegratorKind::Unspecified) | Err(_) => {
+            Err(WireError::Enum { field: "settings.integrator.kind", value })
+        }
+    }
+}
+
+fn strategy(value: i32) -> Result<Strategy, WireError> {
+    match wire::Strategy::try_from(value) {
+        Ok(wire::Strategy::Uniform) => Ok(Strategy::Uniform),
+        Ok(wire::Strategy::Cosine) => Ok(Strategy::Cosine),
+        Ok(wire::Strategy::Bsdf) => Ok(Strategy::Bsdf),
+        Ok(wire::Strategy::Light) => Ok(Strategy::Light),
+        Ok(wire::Strategy::Mis) => Ok(Strategy::Mis),
+        Ok(wire::Strategy::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.strategy", value }),
+    }
+}
+
+fn sampler(value: i32) -> Result<SamplerKind, WireError> {
+    match wire::Sampler::try_from(value) {
+        Ok(wire::Sampler::Independent) => Ok(SamplerKind::Independent),
+        Ok(wire::Sampler::Sobol) => Ok(SamplerKind::Sobol),
+        Ok(wire::Sampler::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.sampler", value }),
+    }
+}

@@ -1,0 +1,140 @@
+//! How peers reach each other: TCP, or memory within one process. Both carry the same gRPC.
+
+use crate::limits::{
+    CONNECT_MS_MAX, CONNECTION_WINDOW_BYTES, FRAME_BYTES_MAX, KEEP_ALIVE_MS, MEMORY_BACKLOG, MEMORY_BUFFER_BYTES,
+    STREAM_WINDOW_BYTES, STREAMS_MAX,
+};
+use hyper_util::rt::TokioIo;
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::io::DuplexStream;
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::server::TcpIncoming;
+use tonic::transport::{Channel, Endpoint, Server};
+
+/// A way to a coordinator that can be gone again and again.
+#[derive(Clone, Debug)]
+pub enum Connector {
+    /// Over the network, or loopback.
+    Tcp(Box<Endpoint>),
+    /// To a coordinator in this process.
+    Memory(Memory),
+}
+
+/// No connection.
+#[derive(Debug, thiserror::Error)]
+pub enum ConnectError {
+    /// An address that is none.
+    #[error("`{0}` is no address; write HOST:PORT")]
+    Address(String),
+    /// Nobody answers there.
+    #[error("no coordinator answers at {address}: {reason}")]
+    Unreachable {
+        /// Where.
+        address: String,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl Connector {
+    /// The way to `address`, HOST:PORT.
+    ///
+    /// # Errors
+    /// An address that cannot be read; nothing is connected yet.
+    pub fn tcp(address: &str) -> Result<Self, ConnectError> {
+        let uri = if address.contains("://") { address.to_owned() } else { format!("http://{address}") };
+        let endpoint = Endpoint::from_shared(uri).map_err(|_| ConnectError::Address(address.to_owned()))?;
+        if endpoint.uri().port().is_none() {
+            return Err(ConnectError::Address(address.to_owned()));
+        }
+        Ok(Self::Tcp(Box::new(tuned(endpoint))))
+    }
+
+    /// Connects.
+    ///
+    /// # Errors
+    /// If nobody answers within [`CONNECT_MS_MAX`].
+    pub async fn connect(&self) -> Result<Channel, ConnectError> {
+        let (address, result) = match self {
+            Self::Tcp(endpoint) => (endpoint.uri().to_string(), endpoint.connect().await),
+            Self::Memory(memory) => ("memory".to_owned(), memory.connect().await),
+        };
+        result.map_err(|e| ConnectError::Unreachable { address, reason: innermost(&e) })
+    }
+}
+
+/// A listener within the process: whoever holds a clone can dial, and a new [`Memory::listen`] replaces the old one, as
+/// another process would on the same port.
+#[derive(Clone, Debug, Default)]
+pub struct Memory {
+    listener: Arc<Mutex<Option<mpsc::Sender<io::Result<DuplexStream>>>>>,
+}
+
+/// Connections to be accepted from a [`Memory`].
+pub type MemoryIncoming = ReceiverStream<io::Result<DuplexStream>>;
+
+impl Memory {
+    /// Accepts connections from now on.
+    pub fn listen(&self) -> MemoryIncoming {
+        let (sender, receiver) = mpsc::channel(MEMORY_BACKLOG);
+        *self.listener.lock().unwrap_or_else(PoisonError::into_inner) = Some(sender);
+        ReceiverStream::new(receiver)
+    }
+
+    async fn connect(&self) -> Result<Channel, tonic::transport::Error> {
+        let memory = self.clone();
+        // The name is never resolved: the connector below ignores it.
+        tuned(Endpoint::from_static("http://memory"))
+            .connect_with_connector(tower::service_fn(move |_| {
+                let memory = memory.clone();
+                async move { memory.dial().await.map(TokioIo::new) }
+            }))
+            .await
+    }
+
+    async fn dial(&self) -> io::Result<DuplexStream> {
+        let sender = self.listener.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let refused = || io::Error::from(io::ErrorKind::ConnectionRefused);
+        let (ours, theirs) = tokio::io::duplex(MEMORY_BUFFER_BYTES);
+        sender.ok_or_else(refused)?.send(Ok(theirs)).await.map_err(|_| refused())?;
+        Ok(ours)
+    }
+}
+
+/// Connections to be accepted from a TCP listener.
+pub fn tcp_incoming(listener: TcpListener) -> TcpIncoming {
+    // Replies are small and awaited: they must not wait for a full packet.
+    TcpIncoming::from(listener).with_nodelay(Some(true))
+}
+
+/// A server with this crate's limits.
+pub fn server() -> Server {
+    Server::builder()
+        .initial_stream_window_size(STREAM_WINDOW_BYTES)
+        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+        .max_frame_size(FRAME_BYTES_MAX)
+        .max_concurrent_streams(STREAMS_MAX)
+        .http2_keepalive_interval(Some(Duration::from_millis(KEEP_ALIVE_MS)))
+}
+
+fn tuned(endpoint: Endpoint) -> Endpoint {
+    endpoint
+        .initial_stream_window_size(STREAM_WINDOW_BYTES)
+        .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+        .tcp_nodelay(true)
+        .connect_timeout(Duration::from_millis(CONNECT_MS_MAX))
+        .http2_keep_alive_interval(Duration::from_millis(KEEP_ALIVE_MS))
+}
+
+/// tonic's error says "transport error"; the reason is at the end of the chain.
+fn innermost(error: &dyn std::error::Error) -> String {
+    let mut error = error;
+    while let Some(source) = error.source() {
+        error = source;
+    }
+    error.to_string()
+}

@@ -1,0 +1,205 @@
+//! Scenes: fetched once, compiled once, kept for the jobs to come.
+//!
+//! A scene that shares meshes or images with one that is kept, such as the same room from another camera, fetches only what
+//! differs.
+
+use crate::pool::Pool;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tilecast_core::scene::{BlobError, Digest, Scene};
+use tilecast_core::settings::SettingsError;
+use tilecast_core::trace::Tracer;
+use tilecast_core::world::World;
+use tilecast_proto::convert::digest_bytes;
+use tilecast_proto::limits::BLOB_BYTES_MAX;
+use tilecast_proto::types::JobWork;
+use tilecast_proto::wire::BlobRequest;
+use tilecast_proto::wire::work_client::WorkClient;
+use tokio::task::JoinSet;
+use tonic::transport::Channel;
+
+/// Scenes kept: the one that is rendered, and a few that may come again.
+const SCENES_MAX: usize = 4;
+/// Bytes of scenes kept besides the last used; compiled, they take about three times that.
+const SCENES_BYTES_MAX: u64 = 2 << 30;
+/// Blobs fetched at a time, so that many small ones do not wait for each other's round trip.
+const FETCHES_MAX: usize = 8;
+
+/// Compiled scenes by digest, the least recently used dropped first.
+#[derive(Default)]
+pub struct SceneCache {
+    /// The last used at the end.
+    kept: Mutex<Vec<Kept>>,
+}
+
+struct Kept {
+    digest: Digest,
+    world: Arc<World>,
+    /// The parts by index, where known.
+    parts: Vec<Digest>,
+    bytes: u64,
+}
+
+/// Why a scene cannot be prepared.
+#[derive(Debug, thiserror::Error)]
+pub enum PrepareError {
+    /// The coordinator does not give a blob, or the connection broke.
+    #[error("blob {digest} could not be fetched: {status}")]
+    Fetch {
+        /// Which.
+        digest: Digest,
+        /// Why.
+        status: Box<tonic::Status>,
+    },
+    /// What came is not what was asked for.
+    #[error("what came for blob {0} is something else, or too long")]
+    Damaged(Digest),
+    /// The blobs make no scene.
+    #[error(transparent)]
+    Scene(#[from] BlobError),
+    /// Settings that no tracer takes.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// A bug.
+    #[error("compiling the scene panicked; the worker's log says where")]
+    Panicked,
+}
+
+impl SceneCache {
+    /// Keeps a scene that was compiled elsewhere in this process: it will not be fetched.
+    pub fn insert(&self, digest: Digest, world: Arc<World>) {
+        self.keep(Kept { digest, world, parts: Vec::new(), bytes: 0 });
+    }
+
+    /// The compiled scene, if it is kept.
+    pub fn get(&self, digest: &Digest) -> Option<Arc<World>> {
+        let mut kept = self.kept();
+        let at = kept.iter().position(|k| k.digest == *digest)?;
+        let found = kept.remove(at);
+        let world = Arc::clone(&found.world);
+        kept.push(found);
+        Some(world)
+    }
+
+    fn keep(&self, new: Kept) {
+        let mut kept = self.kept();
+        kept.retain(|k| k.digest != new.digest);
+        kept.push(new);
+        let total = |kept: &[Kept]| kept.iter().map(|k| k.bytes).sum::<u64>();
+        while kept.len() > 1 && (kept.len() > SCENES_MAX || total(&kept) > SCENES_BYTES_MAX) {
+            kept.remove(0);
+        }
+    }
+
+    /// A part's bytes, made again from a kept scene that has it.
+    fn part(&self, digest: &Digest) -> Option<Arc<[u8]>> {
+        let (world, index) = self.kept().iter().find_map(|k| {
+            let index = k.parts.iter().position(|part| part == digest)?;
+            Some((Arc::clone(&k.world), index))
+        })?;
+        Some(world.scene.part(index).into())
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Vec<Kept>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The tracer of a job.
+pub(crate) async fn prepare(
+    cache: Arc<SceneCache>,
+    pool: Arc<Pool>,
+    work: WorkClient<Channel>,
+    JobWork { scene, settings, .. }: JobWork,
+) -> Result<Arc<Tracer>, PrepareError> {
+    let world = world(cache, &pool, work, scene).await?;
+    let tracer = pool.run(move || Tracer::new(world, settings)).await.ok_or(PrepareError::Panicked)??;
+    Ok(Arc::new(tracer))
+}
+
+/// The compiled scene: kept, or fetched, checked and compiled.
+async fn world(
+    cache: Arc<SceneCache>,
+    pool: &Pool,
+    work: WorkClient<Channel>,
+    digest: Digest,
+) -> Result<Arc<World>, PrepareError> {
+    if let Some(world) = cache.get(&digest) {
+        return Ok(world);
+    }
+    let manifest = fetch(work.clone(), digest).await?;
+    let wanted = Scene::parts_of(&manifest)?;
+    let local = {
+        let cache = Arc::clone(&cache);
+        let reuse = move || wanted.into_iter().map(|digest| (digest, cache.part(&digest))).collect::<Vec<_>>();
+        pool.run(reuse).await.ok_or(PrepareError::Panicked)?
+    };
+    let mut parts = HashMap::new();
+    let mut missing = Vec::new();
+    for (digest, bytes) in local {
+        match bytes {
+            Some(bytes) => _ = parts.insert(digest, bytes),
+            None => missing.push(digest),
+        }
+    }
+    fetch_all(&work, missing, &mut parts).await?;
+    let compile = move || compile(&cache, digest, &manifest, &parts);
+    pool.run(compile).await.ok_or(PrepareError::Panicked)?
+}
+
+fn compile(
+    cache: &SceneCache,
+    digest: Digest,
+    manifest: &[u8],
+    blobs: &HashMap<Digest, Arc<[u8]>>,
+) -> Result<Arc<World>, PrepareError> {
+    // Asked for in the order of the scene's parts.
+    let mut parts = Vec::new();
+    let scene = Scene::from_blobs(manifest, |part| {
+        parts.push(*part);
+        blobs.get(part).cloned().ok_or(PrepareError::Damaged(*part))
+    })?;
+    let world = Arc::new(World::compile(Arc::new(scene)));
+    let bytes = manifest.len() as u64 + blobs.values().map(|b| b.len() as u64).sum::<u64>();
+    cache.keep(Kept { digest, world: Arc::clone(&world), parts, bytes });
+    Ok(world)
+}
+
+async fn fetch_all(
+    work: &WorkClient<Channel>,
+    digests: Vec<Digest>,
+    into: &mut HashMap<Digest, Arc<[u8]>>,
+) -> Result<(), PrepareError> {
+    let mut digests = digests.into_iter();
+    let mut fetches = JoinSet::new();
+    loop {
+        while fetches.len() < FETCHES_MAX
+            && let Some(digest) = digests.next()
+        {
+            let work = work.clone();
+            fetches.spawn(async move { (digest, fetch(work, digest).await) });
+        }
+        match fetches.join_next().await {
+            Some(Ok((digest, bytes))) => _ = into.insert(digest, bytes?),
+            Some(Err(_)) => return Err(PrepareError::Panicked),
+            None => return Ok(()),
+        }
+    }
+}
+
+/// A blob's bytes, checked. Memory grows with what comes, up to the limit; a chunk is hashed in well under a millisecond.
+async fn fetch(mut work: WorkClient<Channel>, digest: Digest) -> Result<Arc<[u8]>, PrepareError> {
+    let failed = |status| PrepareError::Fetch { digest, status: Box::new(status) };
+    let request = BlobRequest { digest: digest_bytes(&digest) };
+    let mut stream = work.get_blob(request).await.map_err(failed)?.into_inner();
+    let mut hasher = blake3::Hasher::new();
+    let mut bytes = Vec::new();
+    while let Some(chunk) = stream.message().await.map_err(failed)? {
+        hasher.update(&chunk.data);
+        bytes.extend_from_slice(&chunk.data);
+        if bytes.len() as u64 > BLOB_BYTES_MAX {
+            return Err(PrepareError::Damaged(digest));
+        }
+    }
+    if *hasher.finalize().as_bytes() == digest.0 { Ok(bytes.into()) } else { Err(PrepareError::Damaged(digest)) }
+}
