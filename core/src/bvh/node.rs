@@ -50,7 +50,8 @@ impl Child {
     }
 }
 
-/// Eight boxes and what is in them: four cache lines.
+/// Eight boxes and what is in them: four cache lines. The slots are in the order in which an any-hit traversal should
+/// try them.
 #[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub struct Node {

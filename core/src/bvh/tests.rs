@@ -304,6 +304,7 @@ struct Shown<'a> {
 }
 
 impl<L: Lanes> Leaves<L> for Shown<'_> {
+    fn prefetch(&self, _: Leaf) {}
     fn nearest(&mut self, _: L, leaf: Leaf, t_max: f32) -> f32 {
         self.seen.extend(&self.order[leaf.first as usize..][..leaf.count as usize]);
         t_max

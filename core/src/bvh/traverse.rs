@@ -7,7 +7,7 @@
 //! traversal.
 
 use super::node::{Bvh8, Child, Leaf, Node};
-use super::simd::{Floats, Lanes, Stack};
+use super::simd::{Floats, Lanes, StackMemory, prefetch};
 use glam::Vec3;
 
 /// A half-line, up to `t_max` directions from its origin.
@@ -97,6 +97,9 @@ impl<L: Lanes> Slabs<L> {
 
 /// What the leaves of a hierarchy hold, met by one ray.
 pub trait Leaves<L: Lanes> {
+    /// Asks for the memory of a leaf that is soon looked into.
+    fn prefetch(&self, leaf: Leaf);
+
     /// Looks for a hit up to `t_max` in a leaf, keeps it, and returns the `t` up to which hits still matter. No hit may be
     /// nearer than the entry into its own box.
     fn nearest(&mut self, lanes: L, leaf: Leaf, t_max: f32) -> f32;
@@ -129,32 +132,26 @@ impl Bvh8 {
     #[inline(always)]
     pub fn nearest<L: Lanes>(&self, lanes: L, ray: &Ray, leaves: &mut impl Leaves<L>) {
         let slabs = Slabs::new(lanes, ray);
-        let mut stack = Stack::<Postponed, { Bvh8::STACK }>::new();
+        let mut memory = StackMemory::<Postponed, { Bvh8::STACK }>::new();
+        let mut stack = memory.stack();
         let mut t_max = ray.t_max;
         let mut next = Child::ROOT;
         'visit: loop {
-            'descend: {
-                if let Some(leaf) = next.as_leaf() {
-                    t_max = leaves.nearest(lanes, leaf, t_max);
-                    break 'descend;
-                }
+            if let Some(leaf) = next.as_leaf() {
+                t_max = leaves.nearest(lanes, leaf, t_max);
+            } else {
                 let node = &self.nodes[next.0 as usize];
                 let (mut hits, entry) = slabs.test(node, L::X8::splat(lanes, t_max));
-                if hits == 0 {
-                    break 'descend;
-                }
-                let slot = hits.trailing_zeros() as usize & 7;
-                hits &= hits - 1;
-                next = node.children[slot];
-                if hits == 0 {
+                if hits.count_ones() == 1 {
+                    next = node.children[hits.trailing_zeros() as usize & 7];
                     continue 'visit;
                 }
                 let entry = entry.store();
                 let bottom = stack.len();
-                stack.push(Postponed::new(entry[slot], next));
                 while hits != 0 {
                     let slot = hits.trailing_zeros() as usize & 7;
                     hits &= hits - 1;
+                    self.prefetch(node.children[slot], leaves);
                     stack.push(Postponed::new(entry[slot], node.children[slot]));
                     sift_down(stack.above(bottom));
                 }
@@ -173,25 +170,43 @@ impl Bvh8 {
     #[inline(always)]
     pub fn any<L: Lanes>(&self, lanes: L, ray: &Ray, leaves: &mut impl Leaves<L>) -> bool {
         let slabs = Slabs::new(lanes, ray);
-        let mut stack = Stack::<Child, { Bvh8::STACK }>::new();
+        // What waits is a node and, in the low byte, which of its slots are still to be tried.
+        let mut memory = StackMemory::<u64, { Bvh8::STACK }>::new();
+        let mut stack = memory.stack();
         let t_max = L::X8::splat(lanes, ray.t_max);
-        let mut next = Child::ROOT;
+        let mut node = &self.nodes[0];
+        let mut index = 0;
+        let mut hits = slabs.test(node, t_max).0;
         loop {
-            if let Some(leaf) = next.as_leaf() {
+            if hits == 0 {
+                let Some(top) = stack.pop() else { return false };
+                index = top >> 8;
+                node = &self.nodes[index as usize];
+                hits = top as u32 & 0xff;
+            }
+            let child = node.children[hits.trailing_zeros() as usize & 7];
+            hits &= hits - 1;
+            if let Some(leaf) = child.as_leaf() {
                 if leaves.any(lanes, leaf) {
                     return true;
                 }
-            } else {
-                let node = &self.nodes[next.0 as usize];
-                let (mut hits, _) = slabs.test(node, t_max);
-                while hits != 0 {
-                    let slot = hits.trailing_zeros() as usize & 7;
-                    hits &= hits - 1;
-                    stack.push(node.children[slot]);
-                }
+                continue;
             }
-            let Some(top) = stack.pop() else { return false };
-            next = top;
+            if hits != 0 {
+                self.prefetch(node.children[hits.trailing_zeros() as usize & 7], leaves);
+                stack.push(index << 8 | u64::from(hits));
+            }
+            index = u64::from(child.0);
+            node = &self.nodes[child.0 as usize];
+            hits = slabs.test(node, t_max).0;
+        }
+    }
+
+    #[inline(always)]
+    fn prefetch<L: Lanes>(&self, child: Child, leaves: &impl Leaves<L>) {
+        match child.as_leaf() {
+            Some(leaf) => leaves.prefetch(leaf),
+            None => prefetch(&self.nodes, child.0 as usize),
         }
     }
 }

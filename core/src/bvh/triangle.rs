@@ -6,7 +6,7 @@
 //! into it; both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
 
 use super::node::Leaf;
-use super::simd::{Floats, Lanes};
+use super::simd::{Floats, Lanes, prefetch};
 use super::traverse::{Leaves, Ray, Reciprocals};
 use super::{Aabb, TriangleHit};
 use glam::Vec3;
@@ -205,6 +205,11 @@ impl<'a, L: Lanes> Blocks<'a, L> {
 }
 
 impl<L: Lanes> Leaves<L> for Blocks<'_, L> {
+    #[inline(always)]
+    fn prefetch(&self, leaf: Leaf) {
+        prefetch(self.blocks, leaf.first as usize);
+    }
+
     #[inline(always)]
     fn nearest(&mut self, lanes: L, leaf: Leaf, _: f32) -> f32 {
         let first = leaf.first as usize;

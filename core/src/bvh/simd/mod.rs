@@ -11,15 +11,15 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod memory;
 mod portable;
-mod stack;
 
 #[cfg(target_arch = "x86_64")]
 pub use avx2::Avx2;
 #[cfg(target_arch = "x86_64")]
 pub use avx512::Avx512;
+pub(super) use memory::{StackMemory, prefetch};
 pub use portable::Portable;
-pub(super) use stack::Stack;
 
 /// `N` lanes of f32.
 pub trait Floats<const N: usize>: Copy {
