@@ -63,6 +63,10 @@ impl<L: Lanes> Leaves<L> for Visit<'_> {
         self.nearest.map_or(t_max, |(t, _)| t)
     }
 
+    /// Shapes are few: they stay in the cache.
+    #[inline]
+    fn prefetch(&self, _: Leaf) {}
+
     #[inline]
     fn any(&mut self, _: L, leaf: Leaf) -> bool {
         self.hits(leaf, self.ray.t_max).next().is_some()
