@@ -105,14 +105,6 @@ impl Assembly {
         TextureId(index(self.textures.len() - 1))
     }
 
-    /// The colour of a texture that has one.
-    pub fn constant_of(&self, id: TextureId) -> Option<Vec3> {
-        match self.textures.get(id.0 as usize) {
-            Some(Texture::Constant(rgb)) => Some(*rgb),
-            _ => None,
-        }
-    }
-
     pub fn bsdf(&mut self, bsdf: Bsdf) -> BsdfId {
         self.bsdfs.push(bsdf);
         BsdfId(index(self.bsdfs.len() - 1))
@@ -204,7 +196,7 @@ impl Assembly {
                 MeshFormat::Obj => {
                     let file = obj::parse(&name, &bytes)?;
                     drop(bytes);
-                    file.mesh(0..file.triangle_count())
+                    file.whole()
                 }
             };
             Ok(Arc::new(mesh))

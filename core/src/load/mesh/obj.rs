@@ -6,6 +6,7 @@
 use super::FileMesh;
 use crate::load::error::{LoadError, Place, Result, did_you_mean};
 use glam::{DVec3, Vec2, Vec3};
+use std::ops::Range;
 
 /// A corner without normal or texture coordinate has this index there.
 const NONE: u32 = u32::MAX;
@@ -25,7 +26,7 @@ pub(crate) struct ObjFile {
     pub libraries: Vec<(String, usize)>,
 }
 
-/// From `first_triangle` on the material `name` is used.
+/// `usemtl`: from `first_triangle` on the material `name` is used.
 #[derive(Debug)]
 pub(crate) struct Use {
     pub name: String,
@@ -153,17 +154,27 @@ impl ObjFile {
         self.corners.len() / 3
     }
 
+    /// Whether any face has normals.
+    pub fn has_normals(&self) -> bool {
+        self.corners.iter().any(|corner| corner[2] != NONE)
+    }
+
+    /// All triangles as a mesh.
+    pub fn whole(&self) -> FileMesh {
+        self.mesh(std::slice::from_ref(&(0..self.triangle_count())))
+    }
+
     /// Some of the triangles as a mesh, one vertex for each combination of position, texture coordinate and normal, in
     /// order of first use.
-    pub fn mesh(&self, triangles: std::ops::Range<usize>) -> FileMesh {
-        let corners = &self.corners[3 * triangles.start..3 * triangles.end];
-        let has_uvs = !self.uvs.is_empty() && corners.iter().any(|corner| corner[1] != NONE);
-        let has_normals = corners.iter().any(|corner| corner[2] != NONE);
+    pub fn mesh(&self, triangles: &[Range<usize>]) -> FileMesh {
+        let corners = || triangles.iter().flat_map(|range| &self.corners[3 * range.start..3 * range.end]);
+        let has_uvs = corners().any(|corner| corner[1] != NONE);
+        let has_normals = corners().any(|corner| corner[2] != NONE);
         let mut mesh = FileMesh { incomplete_faces: self.incomplete_faces, ..FileMesh::default() };
         // For each position the vertices made of it, as a list through `next`.
         let mut first = vec![NONE; self.positions.len()];
         let mut made: Vec<([u32; 3], u32)> = Vec::new();
-        let indices = corners.iter().map(|corner| {
+        let indices = corners().map(|corner| {
             let mut at = first[corner[0] as usize];
             while at != NONE && made[at as usize].0 != *corner {
                 at = made[at as usize].1;
@@ -260,7 +271,7 @@ mod tests {
 
     fn mesh(text: &str) -> FileMesh {
         let file = parse("a.obj", text.as_bytes()).unwrap();
-        file.mesh(0..file.triangle_count())
+        file.whole()
     }
 
     fn message(text: &str) -> String {
@@ -297,7 +308,7 @@ mod tests {
         let file = file.unwrap();
         assert_eq!(file.libraries, [("my file.mtl".to_owned(), 1)]);
         assert_eq!((file.uses[0].name.as_str(), file.uses[1].first_triangle), ("red one", 1));
-        assert_eq!(file.mesh(1..2).triangles, [[0, 1, 2]]);
+        assert_eq!(file.mesh(&[1..2]).triangles, [[0, 1, 2]]);
     }
 
     #[test]
