@@ -187,7 +187,8 @@ impl Ledger {
                     open.lease = Some((id, fence));
                 }
                 worker.leases.insert(fence, Held { job: job_id, unit: key, deadline: now + LEASE_SILENCE });
-                given += unit.len() as f64 / size as f64;
+                // One that came back may be larger than what would be cut now: it takes a slot none the less.
+                given += (unit.len() as f64 / size as f64).min(1.0);
                 reply.unit_samples = size;
                 reply.leases.push(Lease { fence, unit });
                 job.state = JobState::Running;
@@ -434,7 +435,7 @@ impl Ledger {
 fn unit_samples(job: &Job, worker: WorkerId, threads: u64) -> u64 {
     let second = (job.rate(worker).unwrap_or(RATE_UNKNOWN) * UNIT_SECONDS) as u64;
     let left = job.samples_total - job.samples_cut;
-    second.min(left / (TAIL_SHARE * threads.max(1))).max(1)
+    second.min(left / (TAIL_SHARE * threads.max(1))).max(job.smallest_unit())
 }
 
 fn blend(old: Option<f64>, new: f64) -> f64 {

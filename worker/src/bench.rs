@@ -7,6 +7,7 @@ use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tilecast_core::bvh::simd::Isa;
 use tilecast_core::scene::Digest;
 use tilecast_core::trace::Tracer;
 use tilecast_proto::limits::{SLOTS_MAX, SLOTS_PER_THREAD};
@@ -19,6 +20,7 @@ const RESULTS_SHARE: usize = 2;
 pub(crate) struct Bench {
     pub pool: Arc<Pool>,
     pub scenes: Arc<SceneCache>,
+    pub isa: Isa,
     held: BTreeMap<Ticket, Held>,
     next_ticket: Ticket,
     /// Samples that one slot stands for, as the coordinator said last.
@@ -51,8 +53,8 @@ enum Stage {
 }
 
 impl Bench {
-    pub fn new(pool: Pool, scenes: Arc<SceneCache>) -> Self {
-        Self { pool: Arc::new(pool), scenes, held: BTreeMap::new(), next_ticket: 0, unit_samples: 1, samples: 0 }
+    pub fn new(pool: Pool, scenes: Arc<SceneCache>, isa: Isa) -> Self {
+        Self { pool: Arc::new(pool), scenes, isa, held: BTreeMap::new(), next_ticket: 0, unit_samples: 1, samples: 0 }
     }
 
     /// A session begins: leases of the one before are another's by now. What is being traced may still count; what is not

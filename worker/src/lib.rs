@@ -16,6 +16,7 @@ use scenes::SceneCache;
 use session::{End, Session};
 use std::sync::Arc;
 use std::time::Duration;
+use tilecast_core::bvh::simd::Isa;
 use tilecast_proto::transport::Connector;
 use tilecast_proto::types::WorkerInfo;
 
@@ -35,6 +36,19 @@ pub enum WorkerError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
+/// How a worker is set up.
+#[derive(Clone, Debug)]
+pub struct WorkerConfig {
+    /// Threads that trace, at least 1.
+    pub threads: u32,
+    /// The instruction set they trace with: [`Isa::detect`], unless someone compares. All give the same bits.
+    pub isa: Isa,
+    /// What people call the worker; may be empty.
+    pub name: String,
+    /// Its machine, for people.
+    pub host: String,
+}
+
 /// Works until `shutdown` ends, then gives back what it has not done. A coordinator that is gone or restarts is tried again,
 /// for ever; results computed meanwhile are offered again. `scenes` may hold scenes already: those are not fetched.
 ///
@@ -42,12 +56,14 @@ pub enum WorkerError {
 /// A refusal that trying again will not change, or no threads.
 pub async fn run(
     connector: Connector,
-    info: WorkerInfo,
+    config: WorkerConfig,
     scenes: Arc<SceneCache>,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), WorkerError> {
-    let (pool, mut traced) = Pool::new(info.threads as usize)?;
-    let mut bench = Bench::new(pool, scenes);
+    let WorkerConfig { threads, isa, name, host } = config;
+    let (pool, mut traced) = Pool::new(threads as usize)?;
+    let mut bench = Bench::new(pool, scenes, isa);
+    let info = WorkerInfo { threads, isa: isa.name().to_owned(), host, pid: std::process::id(), name };
     let backoff =
         || ExponentialBuilder::default().with_min_delay(RETRY_MIN).with_max_delay(RETRY_MAX).without_max_times();
     let mut delays = backoff().build();

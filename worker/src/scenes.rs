@@ -6,6 +6,7 @@
 use crate::pool::Pool;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tilecast_core::bvh::simd::Isa;
 use tilecast_core::scene::{BlobError, Digest, Scene};
 use tilecast_core::settings::SettingsError;
 use tilecast_core::trace::Tracer;
@@ -20,7 +21,7 @@ use tonic::transport::Channel;
 
 /// Scenes kept: the one that is rendered, and a few that may come again.
 const SCENES_MAX: usize = 4;
-/// Bytes of scenes kept besides the last used; compiled, they take about three times that.
+/// Blobs of scenes kept besides the last used; compiled, they take about three times that again.
 const SCENES_BYTES_MAX: u64 = 2 << 30;
 /// Blobs fetched at a time, so that many small ones do not wait for each other's round trip.
 const FETCHES_MAX: usize = 8;
@@ -35,9 +36,8 @@ pub struct SceneCache {
 struct Kept {
     digest: Digest,
     world: Arc<World>,
-    /// The parts by index, where known.
-    parts: Vec<Digest>,
-    bytes: u64,
+    /// The blobs it came from; scenes share what they have in common.
+    blobs: HashMap<Digest, Arc<[u8]>>,
 }
 
 /// Why a scene cannot be prepared.
@@ -68,7 +68,7 @@ pub enum PrepareError {
 impl SceneCache {
     /// Keeps a scene that was compiled elsewhere in this process: it will not be fetched.
     pub fn insert(&self, digest: Digest, world: Arc<World>) {
-        self.keep(Kept { digest, world, parts: Vec::new(), bytes: 0 });
+        self.keep(Kept { digest, world, blobs: HashMap::new() });
     }
 
     /// The compiled scene, if it is kept.
@@ -85,19 +85,15 @@ impl SceneCache {
         let mut kept = self.kept();
         kept.retain(|k| k.digest != new.digest);
         kept.push(new);
-        let total = |kept: &[Kept]| kept.iter().map(|k| k.bytes).sum::<u64>();
-        while kept.len() > 1 && (kept.len() > SCENES_MAX || total(&kept) > SCENES_BYTES_MAX) {
+        let bytes = |k: &Kept| k.blobs.values().map(|blob| blob.len() as u64).sum::<u64>();
+        while kept.len() > 1 && (kept.len() > SCENES_MAX || kept.iter().map(bytes).sum::<u64>() > SCENES_BYTES_MAX) {
             kept.remove(0);
         }
     }
 
-    /// A part's bytes, made again from a kept scene that has it.
-    fn part(&self, digest: &Digest) -> Option<Arc<[u8]>> {
-        let (world, index) = self.kept().iter().find_map(|k| {
-            let index = k.parts.iter().position(|part| part == digest)?;
-            Some((Arc::clone(&k.world), index))
-        })?;
-        Some(world.scene.part(index).into())
+    /// A blob of a kept scene.
+    fn blob(&self, digest: &Digest) -> Option<Arc<[u8]>> {
+        self.kept().iter().find_map(|k| k.blobs.get(digest).cloned())
     }
 
     fn kept(&self) -> MutexGuard<'_, Vec<Kept>> {
@@ -111,9 +107,10 @@ pub(crate) async fn prepare(
     pool: Arc<Pool>,
     work: WorkClient<Channel>,
     JobWork { scene, settings, .. }: JobWork,
+    isa: Isa,
 ) -> Result<Arc<Tracer>, PrepareError> {
     let world = world(cache, &pool, work, scene).await?;
-    let tracer = pool.run(move || Tracer::new(world, settings)).await.ok_or(PrepareError::Panicked)??;
+    let tracer = pool.run(move || Tracer::new(world, settings, isa)).await.ok_or(PrepareError::Panicked)??;
     Ok(Arc::new(tracer))
 }
 
@@ -128,40 +125,28 @@ async fn world(
         return Ok(world);
     }
     let manifest = fetch(work.clone(), digest).await?;
-    let wanted = Scene::parts_of(&manifest)?;
-    let local = {
-        let cache = Arc::clone(&cache);
-        let reuse = move || wanted.into_iter().map(|digest| (digest, cache.part(&digest))).collect::<Vec<_>>();
-        pool.run(reuse).await.ok_or(PrepareError::Panicked)?
-    };
-    let mut parts = HashMap::new();
+    let mut blobs = HashMap::new();
     let mut missing = Vec::new();
-    for (digest, bytes) in local {
-        match bytes {
-            Some(bytes) => _ = parts.insert(digest, bytes),
-            None => missing.push(digest),
+    for part in Scene::parts_of(&manifest)? {
+        match cache.blob(&part) {
+            Some(bytes) => _ = blobs.insert(part, bytes),
+            None => missing.push(part),
         }
     }
-    fetch_all(&work, missing, &mut parts).await?;
-    let compile = move || compile(&cache, digest, &manifest, &parts);
-    pool.run(compile).await.ok_or(PrepareError::Panicked)?
+    fetch_all(&work, missing, &mut blobs).await?;
+    pool.run(move || compile(&cache, digest, &manifest, blobs)).await.ok_or(PrepareError::Panicked)?
 }
 
 fn compile(
     cache: &SceneCache,
     digest: Digest,
     manifest: &[u8],
-    blobs: &HashMap<Digest, Arc<[u8]>>,
+    blobs: HashMap<Digest, Arc<[u8]>>,
 ) -> Result<Arc<World>, PrepareError> {
-    // Asked for in the order of the scene's parts.
-    let mut parts = Vec::new();
-    let scene = Scene::from_blobs(manifest, |part| {
-        parts.push(*part);
-        blobs.get(part).cloned().ok_or(PrepareError::Damaged(*part))
-    })?;
-    let world = Arc::new(World::compile(Arc::new(scene)));
-    let bytes = manifest.len() as u64 + blobs.values().map(|b| b.len() as u64).sum::<u64>();
-    cache.keep(Kept { digest, world: Arc::clone(&world), parts, bytes });
+    let blob = |part: &Digest| blobs.get(part).cloned().ok_or(PrepareError::Damaged(*part));
+    let scene = Scene::from_blobs(manifest, blob)?;
+    let world = Arc::new(World::compile(&scene));
+    cache.keep(Kept { digest, world: Arc::clone(&world), blobs });
     Ok(world)
 }
 

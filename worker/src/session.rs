@@ -160,8 +160,8 @@ impl Session {
         {
             self.preparing = true;
             let (description, work) = (description.clone(), self.work.clone());
-            let (scenes, pool) = (Arc::clone(&bench.scenes), Arc::clone(&bench.pool));
-            self.calls.spawn(async move { Event::Prepared(job, prepare(scenes, pool, work, description).await) });
+            let (scenes, pool, isa) = (Arc::clone(&bench.scenes), Arc::clone(&bench.pool), bench.isa);
+            self.calls.spawn(async move { Event::Prepared(job, prepare(scenes, pool, work, description, isa).await) });
         }
     }
 

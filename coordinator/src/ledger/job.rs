@@ -138,6 +138,11 @@ impl Job {
         Some(key)
     }
 
+    /// Samples of a full tile with one index for each replicate: nothing smaller is worth a message.
+    pub fn smallest_unit(&self) -> u64 {
+        self.plan.tile(0).area() * REPLICATES as u64
+    }
+
     /// What a result is worth. One whose key is another's belongs to another job of the same number.
     pub fn verdict(&self, unit: &Unit, key: &Digest) -> Verdict {
         if self.state.is_final() {
