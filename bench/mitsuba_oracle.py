@@ -25,8 +25,8 @@ def load(variant='llvm_ad_rgb'):
 
 
 def set_threads(count):
-    """Threads that Mitsuba renders with from now on. Call it when everything is loaded: with a single thread, reading an
-    EXR waits for ever (seen with 3.9.1)."""
+    """Threads that Mitsuba renders with from now on. Call it when everything is loaded: with a single thread, reading
+    and writing EXR wait for ever (seen with 3.9.1)."""
     import drjit
     drjit.set_thread_count(count)
 

@@ -129,9 +129,9 @@ def main():
         command.add_argument('scene')
         command.add_argument('reference')
         command.add_argument('--spp', required=True)
-        command.add_argument('--variant', default='llvm_ad_rgb')
-        command.add_argument('--threads', type=int, default=os.cpu_count())
         command.set_defaults(run=run)
+    command.add_argument('--variant', default='llvm_ad_rgb')
+    command.add_argument('--threads', type=int, default=os.cpu_count())
     options = parser.parse_args()
     options.run(options)
 
