@@ -11,7 +11,7 @@ use super::{Loaded, Note, image};
 use crate::film::scale_exponent;
 use crate::scene::{Bsdf, BsdfId, Geometry, Image, ImageId, Mesh, MeshId, Scene, Shape, Texture, TextureId};
 use crate::settings::Settings;
-use glam::{DAffine3, DVec3, Vec3};
+use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::PathBuf;

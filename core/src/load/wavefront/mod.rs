@@ -108,9 +108,8 @@ impl Loader {
     /// Reads the material libraries; one that is missing is noted.
     fn libraries(&mut self, file: &ObjFile) -> Result<()> {
         for (named, line) in &file.libraries {
-            let fail = |message: String| {
-                LoadError::at(Place::on_line(self.name.as_str(), *line, &format!("mtllib {named}")), message)
-            };
+            let place = Place::on_line(self.name.as_str(), *line, &format!("mtllib {named}"));
+            let fail = |message: String| LoadError::at(place.clone(), message);
             // One name with blanks, or several without.
             let whole = self.assembly.folder.locate(Path::new(""), &named.replace('\\', "/")).map_err(fail)?;
             let paths = match self.assembly.folder.has(&whole) {
