@@ -1,1 +1,78 @@
-fn main() {}
+//! The one binary. Reads flags, does what they say, and turns every end into an exit code: 0 done, 1 failed, 2 usage.
+
+mod cancel;
+mod children;
+mod coordinator;
+mod exr;
+mod flags;
+mod follow;
+mod info;
+mod output;
+mod picture;
+mod preview;
+mod render;
+mod report;
+mod status;
+mod stop;
+mod submit;
+mod worker;
+
+use clap::Parser;
+use flags::{Cli, Task, Usage};
+use std::process::ExitCode;
+use tilecast_core::load::LoadError;
+
+const FAILED: u8 = 1;
+const USAGE: u8 = 2;
+/// Serving and watching need little; the tracer has its own threads.
+const ASYNC_THREADS: usize = 2;
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{}", shown(&error));
+            ExitCode::from(if error.is::<Usage>() { USAGE } else { FAILED })
+        }
+    }
+}
+
+fn run() -> anyhow::Result<()> {
+    let task = Cli::parse().task()?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(ASYNC_THREADS).enable_all().build()?;
+    let result = runtime.block_on(perform(task));
+    // Whoever still computes works for nobody now.
+    runtime.shutdown_background();
+    result
+}
+
+async fn perform(task: Task) -> anyhow::Result<()> {
+    start_log(match task {
+        Task::Coordinator(_) | Task::Worker(_) => "info",
+        _ => "error",
+    });
+    match task {
+        Task::Render(render) => render::run(render).await,
+        Task::Coordinator(coordinator) => coordinator::run(coordinator).await,
+        Task::Worker(worker) => worker::run(worker).await,
+        Task::Submit(submit) => submit::run(submit).await,
+        Task::Status(status) => status::run(status).await,
+        Task::Cancel(cancel) => cancel::run(cancel).await,
+        Task::Info(info) => info::run(info).await,
+    }
+}
+
+/// Logs go to stderr. TILECAST_LOG asks for more or less than a command's usual `level`: `debug`, `tilecast_worker=trace`.
+fn start_log(level: &str) {
+    let filter = tracing_subscriber::EnvFilter::try_from_env("TILECAST_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false).init();
+}
+
+/// An error as people read it: one paragraph; with the line at fault where it lies in a scene file.
+fn shown(error: &anyhow::Error) -> String {
+    match error.downcast_ref::<LoadError>() {
+        Some(error) => format!("{:?}", miette::Report::new(error.clone())),
+        None => format!("error: {error:#}"),
+    }
+}

@@ -17,6 +17,7 @@ pub mod frame;
 pub mod geometry;
 pub mod integrator;
 pub mod lights;
+pub mod load;
 pub mod sampler;
 pub mod scene;
 pub mod settings;

@@ -161,7 +161,7 @@ pub enum SettingsError {
 }
 
 /// The widest pixel filter: beyond it a radius is taken for a mistake.
-const FILTER_RADIUS_MAX: f32 = 16.0;
+pub const FILTER_RADIUS_MAX: f32 = 16.0;
 /// f32 spans 2^-149 to 2^128; a scale beyond twice that holds no radiance.
 const SCALE_EXPONENT_MAX: i32 = 512;
 

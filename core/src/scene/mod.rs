@@ -7,6 +7,7 @@
 mod blobs;
 mod bsdf;
 mod emitter;
+mod extent;
 mod sensor;
 mod shape;
 mod texture;

@@ -1,0 +1,26 @@
+# Recipes for working on tilecast. `just check` is what CI runs.
+
+# Everything a change must pass.
+check:
+    bash .ci/run
+
+# All tests.
+test:
+    cargo test --workspace --release
+
+# One part of the whole-system tests, by module: `just system digest`.
+system module="":
+    cargo test --release --test system -- {{module}}
+
+# Formats everything.
+fmt:
+    cargo fmt --all
+
+# Licences, advisories, bans and sources of every dependency (needs `cargo install cargo-deny`).
+deny:
+    cargo deny check
+
+# The README's picture.
+picture:
+    cargo run --release -- render scenes/cornell-box/scene.xml --spp 256 --preview -o scenes/cornell-box/cornell-box.exr
+    rm scenes/cornell-box/cornell-box.exr

@@ -1,0 +1,376 @@
+//! The command line as people write it, and its way into ready values. Nothing below this file sees a flag.
+
+mod values;
+
+use crate::cancel::Cancel;
+use crate::coordinator::Coordinator;
+use crate::info::Info;
+use crate::output::Output;
+use crate::picture::{Overrides, Picture};
+use crate::render::{Backend, Render};
+use crate::report::Style;
+use crate::status::Status;
+use crate::submit::Submit;
+use crate::worker::Worker;
+use anyhow::Context;
+use clap::{Args, Parser, Subcommand};
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use tilecast_core::bvh::simd::Isa;
+use tilecast_core::settings::Window;
+use tilecast_proto::limits::{THREADS_MAX, TILE_SIDE_MAX};
+use tilecast_proto::transport::Connector;
+use values::{IntegratorName, SamplerName, StrategyName};
+
+/// Flags that cannot be meant as they are written, found after clap has read them: the exit code is that of usage errors.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct Usage(pub String);
+
+/// Renders reference images, on one machine or many, the same to the bit.
+#[derive(Parser)]
+#[command(name = "tilecast", version, max_term_width = 110)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What to do, with ready values.
+pub enum Task {
+    /// `tilecast render`
+    Render(Render),
+    /// `tilecast coordinator`
+    Coordinator(Coordinator),
+    /// `tilecast worker`
+    Worker(Worker),
+    /// `tilecast submit`
+    Submit(Submit),
+    /// `tilecast status`
+    Status(Status),
+    /// `tilecast cancel`
+    Cancel(Cancel),
+    /// `tilecast info`
+    Info(Info),
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Renders a scene here.
+    #[command(after_help = RENDER_EXAMPLES)]
+    Render(RenderFlags),
+    /// Hands out work to workers, and keeps the images in the making.
+    #[command(after_help = CLUSTER_EXAMPLES)]
+    Coordinator(CoordinatorFlags),
+    /// Traces for a coordinator, for as long as it runs.
+    #[command(after_help = CLUSTER_EXAMPLES)]
+    Worker(WorkerFlags),
+    /// Has a coordinator render a scene, waits, and writes the image.
+    #[command(after_help = CLUSTER_EXAMPLES)]
+    Submit(SubmitFlags),
+    /// Lists a coordinator's jobs and workers.
+    #[command(after_help = "Example:\n  tilecast status --connect 10.0.0.1:7878")]
+    Status(StatusFlags),
+    /// Ends a job of a coordinator; what is done of it is dropped.
+    #[command(after_help = "Example:\n  tilecast cancel --connect 10.0.0.1:7878 4294967297")]
+    Cancel(CancelFlags),
+    /// Says what is in a scene: shapes, materials, lights, memory, and what was read but has no effect.
+    #[command(after_help = "Example:\n  tilecast info scenes/cornell-box/scene.xml")]
+    Info(InfoFlags),
+}
+
+const RENDER_EXAMPLES: &str = "\
+Examples:
+  tilecast render scene.xml                                  writes scene.exr
+  tilecast render scene.xml --spp 4096 -o reference.exr      a quieter one
+  tilecast render scene.xml -D albedo=0.8 --preview          sets a <default>, also writes scene.png
+  tilecast render scene.xml --strategy cosine --spp 16       where directions come from
+  tilecast render model.obj --size 640x480                   a bare model: camera framed on it, light from the sky
+  tilecast render scene.xml --crop 100,100,164,164           a part; its pixels are those of the whole, to the bit
+  tilecast render scene.xml --workers 4                      four worker processes; the same bits";
+
+const CLUSTER_EXAMPLES: &str = "\
+A cluster in three commands:
+  tilecast coordinator --listen 0.0.0.0:7878                 on one machine
+  tilecast worker --connect 10.0.0.1:7878                    on each machine that traces
+  tilecast submit scene.xml --connect 10.0.0.1:7878          wherever the scene is";
+
+/// The scene, and how it is rendered.
+#[derive(Args)]
+struct PictureFlags {
+    /// Mitsuba 3 XML, or a bare Wavefront OBJ
+    scene: PathBuf,
+    /// Sets a value that the scene names $NAME, above its <default>
+    #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
+    defines: Vec<(String, String)>,
+    /// Samples a pixel [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    spp: Option<u32>,
+    /// Chooses among equally good sets of random numbers [default: the scene's]
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Pixels of the whole picture; undoes the scene's crop [default: the scene's]
+    #[arg(long, value_name = "WxH", value_parser = values::size)]
+    size: Option<[u32; 2]>,
+    /// The part to render, in pixels of the whole picture; X1 and Y1 are behind its end
+    #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::crop)]
+    crop: Option<Window>,
+    /// Which light transport is counted [default: the scene's]
+    #[arg(long, value_name = "NAME")]
+    integrator: Option<IntegratorName>,
+    /// Where random directions come from [default: mis]
+    #[arg(long, value_name = "NAME")]
+    strategy: Option<StrategyName>,
+    /// Where random numbers come from [default: the scene's]
+    #[arg(long, value_name = "NAME")]
+    sampler: Option<SamplerName>,
+    /// Longest path: 1 emitters alone, 2 direct light, -1 no limit [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = values::max_depth, allow_negative_numbers = true)]
+    max_depth: Option<values::MaxDepth>,
+}
+
+/// Where the image goes.
+#[derive(Args)]
+struct OutputFlags {
+    /// The image [default: the scene's name with .exr, in this folder]
+    #[arg(short, long, value_name = "OUT.exr")]
+    output: Option<PathBuf>,
+    /// Also writes OUT.png: sRGB, no exposure
+    #[arg(long)]
+    preview: bool,
+    /// Side of a tile in pixels; the image is the same for all
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(TILE_SIDE_MAX)))]
+    tile: Option<u32>,
+    #[command(flatten)]
+    style: StyleFlags,
+}
+
+#[derive(Args)]
+struct StyleFlags {
+    /// Says what happens as JSON on stdout, one object a line
+    #[arg(long, conflicts_with = "quiet")]
+    json: bool,
+    /// Says nothing but errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+#[derive(Args)]
+struct RenderFlags {
+    #[command(flatten)]
+    picture: PictureFlags,
+    #[command(flatten)]
+    output: OutputFlags,
+    /// Threads that trace; with --workers, of each of them [default: all cores, divided among the workers]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(THREADS_MAX)))]
+    threads: Option<u32>,
+    /// Traces in N worker processes instead of this one
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(CHILDREN_MAX)))]
+    workers: Option<u32>,
+    #[command(flatten)]
+    isa: IsaFlags,
+}
+
+/// Worker processes on one machine; more have no cores to run on.
+const CHILDREN_MAX: u32 = 1024;
+
+#[derive(Args)]
+struct IsaFlags {
+    /// Instruction set to trace with; all give the same bits [default: TILECAST_ISA, or the fastest here]
+    #[arg(long, value_name = "NAME", value_parser = values::isa)]
+    isa: Option<Isa>,
+}
+
+#[derive(Args)]
+struct CoordinatorFlags {
+    /// Address and port to serve on; port 0 takes a free one
+    #[arg(long, value_name = "ADDR")]
+    listen: String,
+    #[command(flatten)]
+    style: StyleFlags,
+}
+
+#[derive(Args)]
+struct ConnectFlags {
+    /// Where the coordinator listens: HOST:PORT
+    #[arg(long, value_name = "ADDR")]
+    connect: String,
+}
+
+#[derive(Args)]
+struct WorkerFlags {
+    #[command(flatten)]
+    connect: ConnectFlags,
+    /// Threads that trace [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(THREADS_MAX)))]
+    threads: Option<u32>,
+    /// What to call it in `tilecast status`
+    #[arg(long, value_name = "NAME", default_value = "")]
+    name: String,
+    #[command(flatten)]
+    isa: IsaFlags,
+    /// Ends when standard input does
+    #[arg(long, hide = true)]
+    exit_with_parent: bool,
+}
+
+#[derive(Args)]
+struct SubmitFlags {
+    #[command(flatten)]
+    picture: PictureFlags,
+    #[command(flatten)]
+    connect: ConnectFlags,
+    #[command(flatten)]
+    output: OutputFlags,
+}
+
+#[derive(Args)]
+struct StatusFlags {
+    #[command(flatten)]
+    connect: ConnectFlags,
+    /// One JSON object a line
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Args)]
+struct CancelFlags {
+    #[command(flatten)]
+    connect: ConnectFlags,
+    /// The job's number, as `tilecast status` shows it
+    job: u64,
+}
+
+#[derive(Args)]
+struct InfoFlags {
+    /// Mitsuba 3 XML, or a bare Wavefront OBJ
+    scene: PathBuf,
+    /// Sets a value that the scene names $NAME, above its <default>
+    #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
+    defines: Vec<(String, String)>,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+impl Cli {
+    /// Ready values for what was asked.
+    ///
+    /// # Errors
+    /// [`Usage`] for flags that do not fit each other or this machine.
+    pub fn task(self) -> anyhow::Result<Task> {
+        Ok(match self.command {
+            Command::Render(flags) => Task::Render(flags.ready()?),
+            Command::Coordinator(CoordinatorFlags { listen, style }) => {
+                Task::Coordinator(Coordinator { listen, style: style.ready() })
+            }
+            Command::Worker(flags) => Task::Worker(flags.ready()?),
+            Command::Submit(flags) => Task::Submit(flags.ready()?),
+            Command::Status(StatusFlags { connect, json }) => {
+                Task::Status(Status { connector: connect.ready()?, json })
+            }
+            Command::Cancel(CancelFlags { connect, job }) => Task::Cancel(Cancel { connector: connect.ready()?, job }),
+            Command::Info(InfoFlags { scene, defines, json }) => Task::Info(Info { scene, defines, json }),
+        })
+    }
+}
+
+impl RenderFlags {
+    fn ready(self) -> anyhow::Result<Render> {
+        let backend = match self.workers {
+            None => Backend::Here { threads: self.threads.unwrap_or_else(cores) },
+            Some(workers) => {
+                let threads = self.threads.unwrap_or_else(|| (cores() / workers).max(1));
+                Backend::Processes { workers, threads }
+            }
+        };
+        let (tile, style) = (self.output.tile, self.output.style.ready());
+        let output = self.output.ready(&self.picture.scene)?;
+        Ok(Render { picture: self.picture.ready(), output, tile, backend, isa: self.isa.ready()?, style })
+    }
+}
+
+impl WorkerFlags {
+    fn ready(self) -> anyhow::Result<Worker> {
+        Ok(Worker {
+            connector: self.connect.ready()?,
+            threads: self.threads.unwrap_or_else(cores),
+            name: self.name,
+            isa: self.isa.ready()?,
+            exit_with_parent: self.exit_with_parent,
+        })
+    }
+}
+
+impl SubmitFlags {
+    fn ready(self) -> anyhow::Result<Submit> {
+        let (tile, style) = (self.output.tile, self.output.style.ready());
+        let output = self.output.ready(&self.picture.scene)?;
+        Ok(Submit { picture: self.picture.ready(), connector: self.connect.ready()?, output, tile, style })
+    }
+}
+
+impl PictureFlags {
+    fn ready(self) -> Picture {
+        let overrides = Overrides {
+            spp: self.spp,
+            seed: self.seed,
+            size: self.size,
+            crop: self.crop,
+            integrator: self.integrator.map(Into::into),
+            strategy: self.strategy.map(Into::into),
+            sampler: self.sampler.map(Into::into),
+            max_depth: self.max_depth.map(|depth| depth.0),
+        };
+        Picture { scene: self.scene, defines: self.defines, overrides }
+    }
+}
+
+impl OutputFlags {
+    /// The checked way to the image: that it can be written is known before anything is rendered.
+    fn ready(self, scene: &Path) -> anyhow::Result<Output> {
+        let path = match self.output {
+            Some(path) => path,
+            None => {
+                let stem = scene.file_stem().context("the scene's path has no file name; name the image with -o")?;
+                let mut name = stem.to_owned();
+                name.push(".exr");
+                PathBuf::from(name)
+            }
+        };
+        Output::check(path, self.preview)
+    }
+}
+
+impl StyleFlags {
+    fn ready(&self) -> Style {
+        match (self.json, self.quiet) {
+            (true, _) => Style::Json,
+            (_, true) => Style::Quiet,
+            _ if std::io::stderr().is_terminal() => Style::Bar,
+            _ => Style::Lines,
+        }
+    }
+}
+
+impl ConnectFlags {
+    fn ready(self) -> anyhow::Result<Connector> {
+        Connector::tcp(&self.connect).map_err(|e| Usage(format!("--connect: {e}")).into())
+    }
+}
+
+impl IsaFlags {
+    fn ready(self) -> anyhow::Result<Isa> {
+        let from_environment = || match std::env::var("TILECAST_ISA") {
+            Ok(name) => values::isa(&name).map(Some).map_err(|e| Usage(format!("TILECAST_ISA: {e}"))),
+            Err(_) => Ok(None),
+        };
+        let wanted = self.isa.map_or_else(from_environment, |isa| Ok(Some(isa)))?;
+        Ok(wanted.unwrap_or_else(Isa::detect))
+    }
+}
+
+/// Cores this process may use.
+fn cores() -> u32 {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    u32::try_from(cores).unwrap_or(THREADS_MAX).min(THREADS_MAX)
+}

@@ -1,0 +1,120 @@
+//! The values of flags: each read from text once, refused with what would be right.
+
+use clap::ValueEnum;
+use tilecast_core::bvh::simd::Isa;
+use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, SamplerKind, Strategy, Window};
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum IntegratorName {
+    /// All light transport
+    Path,
+    /// Light scattered once
+    Direct,
+    /// Direct light, and perfect reflection and refraction followed
+    Whitted,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum StrategyName {
+    /// Uniform over the hemisphere
+    Uniform,
+    /// By the cosine
+    Cosine,
+    /// By the material
+    Bsdf,
+    /// Points on lights
+    Light,
+    /// Lights and material joined by multiple importance sampling
+    Mis,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum SamplerName {
+    /// Owen-scrambled Sobol' points
+    Sobol,
+    /// Every number independent
+    Independent,
+}
+
+impl From<IntegratorName> for IntegratorKind {
+    fn from(name: IntegratorName) -> Self {
+        match name {
+            IntegratorName::Path => Self::Path,
+            IntegratorName::Direct => Self::Direct,
+            IntegratorName::Whitted => Self::Whitted,
+        }
+    }
+}
+
+impl From<StrategyName> for Strategy {
+    fn from(name: StrategyName) -> Self {
+        match name {
+            StrategyName::Uniform => Self::Uniform,
+            StrategyName::Cosine => Self::Cosine,
+            StrategyName::Bsdf => Self::Bsdf,
+            StrategyName::Light => Self::Light,
+            StrategyName::Mis => Self::Mis,
+        }
+    }
+}
+
+impl From<SamplerName> for SamplerKind {
+    fn from(name: SamplerName) -> Self {
+        match name {
+            SamplerName::Sobol => Self::Sobol,
+            SamplerName::Independent => Self::Independent,
+        }
+    }
+}
+
+/// Longest path, or none. A struct, since clap gives `Option<Option<T>>` a meaning of its own.
+#[derive(Clone, Copy)]
+pub struct MaxDepth(pub Option<u32>);
+
+/// `-1` or at least 1.
+pub fn max_depth(text: &str) -> Result<MaxDepth, String> {
+    match text.parse() {
+        Ok(-1) => Ok(MaxDepth(None)),
+        Ok(depth @ 1..) => u32::try_from(depth).map(|depth| MaxDepth(Some(depth))).map_err(|e| e.to_string()),
+        Ok(0) => Err("0 sees nothing; 1 sees emitters, 2 direct light, -1 everything".into()),
+        Ok::<i64, _>(_) | Err(_) => Err("write a number from 1, or -1 for no limit".into()),
+    }
+}
+
+/// `NAME=VALUE`.
+pub fn define(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("write NAME=VALUE".into()),
+    }
+}
+
+/// `WxH`.
+pub fn size(text: &str) -> Result<[u32; 2], String> {
+    let sides = text.split_once(['x', 'X', '×']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+    match sides {
+        Some(sides) if sides.iter().all(|side| (1..=FILM_SIDE_MAX).contains(side)) => Ok(sides),
+        Some(_) => Err(format!("each side must have 1 to {FILM_SIDE_MAX} pixels")),
+        None => Err(format!("write WIDTHxHEIGHT in pixels, each from 1 to {FILM_SIDE_MAX}, as in 640x480")),
+    }
+}
+
+/// `X0,Y0,X1,Y1`.
+pub fn crop(text: &str) -> Result<Window, String> {
+    let corners: Option<Vec<u32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    match corners.as_deref() {
+        Some(&[x0, y0, x1, y1]) if x0 < x1 && y0 < y1 => Ok(Window { x0, y0, x1, y1 }),
+        Some([_, _, _, _]) => Err("the window is empty: X0 < X1 and Y0 < Y1 must hold".into()),
+        _ => Err("write X0,Y0,X1,Y1 in pixels, as in 100,100,164,164".into()),
+    }
+}
+
+/// An instruction set of this processor.
+pub fn isa(name: &str) -> Result<Isa, String> {
+    let names = |isas: &[Isa]| isas.iter().map(|isa| isa.name()).collect::<Vec<_>>().join(", ");
+    match Isa::from_name(name) {
+        Some(isa) if isa.is_available() => Ok(isa),
+        Some(_) => Err(format!("this processor has {} only", names(&Isa::available()))),
+        None => Err(format!("'{name}' is none of {}", names(&Isa::ALL))),
+    }
+}

@@ -1,0 +1,71 @@
+//! Where the image goes: found to be writable before rendering, and never there half written.
+
+use crate::{exr, preview};
+use anyhow::{Context, bail};
+use atomic_write_file::AtomicWriteFile;
+use std::path::{Path, PathBuf};
+use tilecast_core::film::Film;
+use tilecast_core::scene::Digest;
+use tilecast_core::settings::Settings;
+
+/// Files that can be written, as far as one can know.
+#[derive(Clone, Debug)]
+pub struct Output {
+    /// The image.
+    pub exr: PathBuf,
+    /// The picture for people, if wanted.
+    pub png: Option<PathBuf>,
+}
+
+impl Output {
+    /// Checks that the files can be written, by beginning to.
+    ///
+    /// # Errors
+    /// A folder that is missing or refuses, or something else that bears the name.
+    pub fn check(path: PathBuf, preview: bool) -> anyhow::Result<Self> {
+        let png = preview.then(|| path.with_extension("png"));
+        if png.as_ref() == Some(&path) {
+            bail!("-o {}: with --preview the image and its preview would be one file; end it in .exr", path.display());
+        }
+        let exr = writable(path)?;
+        let png = png.map(writable).transpose()?;
+        Ok(Self { exr, png })
+    }
+
+    /// Writes the image. Blocks.
+    ///
+    /// # Errors
+    /// A full disk, or whatever else befalls files; what was there before is there still.
+    pub fn write(&self, film: &Film, settings: &Settings, scene: &Digest) -> anyhow::Result<()> {
+        let failed = |path: &Path| format!("cannot write {}", path.display());
+        replace(&self.exr, |file| exr::write(file, film, settings, scene)).with_context(|| failed(&self.exr))?;
+        if let Some(png) = &self.png {
+            replace(png, |file| preview::write(file, film)).with_context(|| failed(png))?;
+        }
+        Ok(())
+    }
+}
+
+/// The path, with links followed, so that what a link points to is replaced and not the link.
+fn writable(path: PathBuf) -> anyhow::Result<PathBuf> {
+    let shown = path.display().to_string();
+    let path = if path.is_symlink() { path.canonicalize().with_context(|| format!("-o {shown}"))? } else { path };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        bail!("-o {shown}: there is no folder {}; make it first", folder.display());
+    }
+    if path.exists() && !path.is_file() {
+        bail!("-o {shown}: that is no file, so an image cannot replace it; name another");
+    }
+    AtomicWriteFile::open(&path)
+        .and_then(AtomicWriteFile::discard)
+        .with_context(|| format!("-o {shown}: the folder {} cannot be written to", folder.display()))?;
+    Ok(path)
+}
+
+/// Writes beside the file, and renames when all is there.
+fn replace(path: &Path, write: impl FnOnce(&mut AtomicWriteFile) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    let mut file = AtomicWriteFile::options().read(true).open(path)?;
+    write(&mut file)?;
+    Ok(file.commit()?)
+}

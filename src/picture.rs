@@ -1,0 +1,101 @@
+//! A scene file and what the command line changes of it, made into what is rendered.
+
+use crate::flags::Usage;
+use std::path::PathBuf;
+use std::sync::Arc;
+use tilecast_core::load::{LoadOptions, Loaded, load};
+use tilecast_core::scene::{Scene, SceneBlobs};
+use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window};
+
+/// What is to be rendered.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// The scene's file.
+    pub scene: PathBuf,
+    /// Values for its `$names`.
+    pub defines: Vec<(String, String)>,
+    /// What is to be otherwise than the file says.
+    pub overrides: Overrides,
+}
+
+/// Settings that win over the scene file's, where there is a value.
+#[derive(Clone, Debug, Default)]
+pub struct Overrides {
+    /// Samples a pixel.
+    pub spp: Option<u32>,
+    /// Seed.
+    pub seed: Option<u64>,
+    /// Width and height of the whole picture; the crop is reset to all of it.
+    pub size: Option<[u32; 2]>,
+    /// The part to render.
+    pub crop: Option<Window>,
+    /// Light transport.
+    pub integrator: Option<IntegratorKind>,
+    /// Directions.
+    pub strategy: Option<Strategy>,
+    /// Random numbers.
+    pub sampler: Option<SamplerKind>,
+    /// Longest path, or none.
+    pub max_depth: Option<Option<u32>>,
+}
+
+/// A picture that can be rendered.
+pub struct Ready {
+    /// What there is.
+    pub scene: Arc<Scene>,
+    /// The scene's digest, manifest and parts.
+    pub blobs: SceneBlobs,
+    /// How it is rendered, checked.
+    pub settings: Settings,
+    /// What the scene's author should know.
+    pub notes: Vec<String>,
+}
+
+impl Picture {
+    /// Loads the scene, applies the overrides and hashes the whole. Blocks.
+    ///
+    /// # Errors
+    /// What is wrong with the scene's files, or overrides that do not fit it.
+    pub fn load(&self) -> anyhow::Result<Ready> {
+        let options = LoadOptions { defines: self.defines.clone() };
+        let Loaded { scene, mut settings, notes } = load(&self.scene, &options)?;
+        self.overrides.apply(&mut settings)?;
+        settings.validate()?;
+        let blobs = scene.blobs();
+        let notes = notes.iter().map(ToString::to_string).collect();
+        Ok(Ready { scene: Arc::new(scene), blobs, settings, notes })
+    }
+}
+
+impl Overrides {
+    fn apply(&self, settings: &mut Settings) -> Result<(), Usage> {
+        let Settings { film, spp, seed, integrator, strategy, sampler, .. } = settings;
+        if let Some([width, height]) = self.size {
+            (film.width, film.height) = (width, height);
+            film.crop = Window { x0: 0, y0: 0, x1: width, y1: height };
+        }
+        if let Some(crop) = self.crop {
+            let (width, height) = (film.width, film.height);
+            if crop.x1 > width || crop.y1 > height {
+                let Window { x0, y0, x1, y1 } = crop;
+                return Err(Usage(format!(
+                    "--crop {x0},{y0},{x1},{y1} is not within the picture's {width}x{height} pixels"
+                )));
+            }
+            film.crop = crop;
+        }
+        set(spp, self.spp);
+        set(seed, self.seed);
+        set(&mut integrator.kind, self.integrator);
+        set(&mut integrator.max_depth, self.max_depth);
+        set(strategy, self.strategy);
+        set(sampler, self.sampler);
+        Ok(())
+    }
+}
+
+fn set<T>(value: &mut T, wanted: Option<T>) {
+    if let Some(wanted) = wanted {
+        *value = wanted;
+    }
+}

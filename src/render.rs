@@ -1,0 +1,181 @@
+//! `tilecast render`: a coordinator and workers of its own, and a client that submits to them. Whether the workers are threads
+//! here or processes beside, the way of a unit is the same.
+
+use crate::children::{Children, Spec};
+use crate::follow::{News, follow};
+use crate::output::Output;
+use crate::picture::{Picture, Ready};
+use crate::report::{Report, Style};
+use crate::stop::{on_signal, unless_stopped};
+use anyhow::{Context, anyhow};
+use std::sync::Arc;
+use tilecast_core::bvh::simd::Isa;
+use tilecast_core::world::World;
+use tilecast_proto::client::Client;
+use tilecast_proto::transport::{Connector, Memory, tcp_incoming};
+use tilecast_proto::types::JobSpec;
+use tilecast_worker::WorkerConfig;
+use tilecast_worker::scenes::SceneCache;
+use tokio::net::TcpListener;
+use tokio::task::{JoinHandle, spawn_blocking};
+use tokio_util::sync::CancellationToken;
+
+/// What to render, where to, and with whom.
+pub struct Render {
+    /// What.
+    pub picture: Picture,
+    /// Where to.
+    pub output: Output,
+    /// Side of a tile in pixels, or the coordinator's choice.
+    pub tile: Option<u32>,
+    /// With whom.
+    pub backend: Backend,
+    /// Instruction set.
+    pub isa: Isa,
+    /// How it tells of itself.
+    pub style: Style,
+}
+
+/// Who traces.
+#[derive(Clone, Copy, Debug)]
+pub enum Backend {
+    /// Threads of this process.
+    Here {
+        /// How many.
+        threads: u32,
+    },
+    /// Processes beside this one.
+    Processes {
+        /// How many.
+        workers: u32,
+        /// Threads of each.
+        threads: u32,
+    },
+}
+
+/// Renders.
+///
+/// # Errors
+/// Whatever keeps the image from being made or written.
+pub async fn run(render: Render) -> anyhow::Result<()> {
+    let stop = on_signal()?;
+    let mut report = Report::new(render.style);
+    let picture = render.picture.clone();
+    let ready = unless_stopped(&stop, spawn_blocking(move || picture.load())).await?.context("loading panicked")??;
+    ready.notes.iter().for_each(|note| report.note(note));
+    let mut cluster = match render.backend {
+        Backend::Here { threads } => {
+            let scene = Arc::clone(&ready.scene);
+            let compile = spawn_blocking(move || World::compile(&scene));
+            let world = unless_stopped(&stop, compile).await?.context("preparing the scene panicked")?;
+            Cluster::here(world, &ready, threads, render.isa)
+        }
+        Backend::Processes { workers, threads } => Cluster::processes(workers, threads, render.isa).await?,
+    };
+    let result = cluster.render(&ready, &render, &mut report, &stop).await;
+    cluster.end().await;
+    result
+}
+
+/// A coordinator and its workers, for one render.
+struct Cluster {
+    connector: Connector,
+    coordinator: JoinHandle<anyhow::Result<()>>,
+    workers: Workers,
+    shutdown: CancellationToken,
+}
+
+enum Workers {
+    Here(JoinHandle<anyhow::Result<()>>),
+    Processes(Children),
+}
+
+impl Cluster {
+    /// All in this process, joined by memory. The worker has the scene already.
+    fn here(world: World, ready: &Ready, threads: u32, isa: Isa) -> Self {
+        let (memory, shutdown) = (Memory::default(), CancellationToken::new());
+        let incoming = memory.listen();
+        let closing = shutdown.clone();
+        let coordinator = tokio::spawn(async move {
+            Ok(tilecast_coordinator::run(incoming, Default::default(), closing.cancelled()).await?)
+        });
+        let scenes = Arc::new(SceneCache::default());
+        scenes.insert(ready.blobs.digest, Arc::new(world));
+        let config = WorkerConfig { threads, isa, name: String::new(), host: String::new() };
+        let connector = Connector::Memory(memory);
+        let (to_coordinator, closing) = (connector.clone(), shutdown.clone());
+        let worker = tokio::spawn(async move {
+            Ok(tilecast_worker::run(to_coordinator, config, scenes, closing.cancelled()).await?)
+        });
+        Self { connector, coordinator, workers: Workers::Here(worker), shutdown }
+    }
+
+    /// The coordinator in this process, workers beside it, gRPC over loopback between them.
+    async fn processes(workers: u32, threads: u32, isa: Isa) -> anyhow::Result<Self> {
+        let listener = TcpListener::bind("127.0.0.1:0").await.context("no port on loopback can be had")?;
+        let address = listener.local_addr()?.to_string();
+        let (shutdown, connector) = (CancellationToken::new(), Connector::tcp(&address)?);
+        let closing = shutdown.clone();
+        let coordinator = tokio::spawn(async move {
+            Ok(tilecast_coordinator::run(tcp_incoming(listener), Default::default(), closing.cancelled()).await?)
+        });
+        let children = Children::start(workers, &Spec { address, threads, isa })?;
+        Ok(Self { connector, coordinator, workers: Workers::Processes(children), shutdown })
+    }
+
+    async fn render(
+        &mut self,
+        ready: &Ready,
+        render: &Render,
+        report: &mut Report,
+        stop: &CancellationToken,
+    ) -> anyhow::Result<()> {
+        let workers_hold_scene = matches!(self.workers, Workers::Here(_));
+        let client = Client::connect(&self.connector).await?;
+        if !workers_hold_scene {
+            unless_stopped(stop, client.upload(&ready.scene, &ready.blobs)).await??;
+        }
+        let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
+        let job = JobSpec { scene, settings, tile: render.tile, name: String::new(), workers_hold_scene };
+        follow(&client, (ready, job), &render.output, report, stop, async || self.news().await).await
+    }
+
+    /// Waits until something is wrong. Asking may be broken off.
+    async fn news(&mut self) -> News {
+        let workers = async {
+            match &mut self.workers {
+                Workers::Here(worker) => News::Fatal(early_end("worker", worker.await)),
+                Workers::Processes(children) => children.news().await,
+            }
+        };
+        tokio::select! {
+            ended = &mut self.coordinator => News::Fatal(early_end("coordinator", ended)),
+            news = workers => news,
+        }
+    }
+
+    /// Workers first: they say goodbye to a coordinator that is still there.
+    async fn end(self) {
+        match self.workers {
+            Workers::Here(worker) => {
+                self.shutdown.cancel();
+                // A panic or an error has been told, or came too late to matter.
+                let _ = worker.await;
+            }
+            Workers::Processes(children) => {
+                children.end().await;
+                self.shutdown.cancel();
+            }
+        }
+        let _ = self.coordinator.await;
+    }
+}
+
+/// Why a part of this process ended that should not have.
+fn early_end(what: &str, ended: Result<anyhow::Result<()>, tokio::task::JoinError>) -> anyhow::Error {
+    match ended {
+        Ok(Ok(())) => anyhow!("the {what} ended early"),
+        Ok(Err(error)) => error.context(format!("the {what} ended early")),
+        Err(panic) => anyhow!("the {what} panicked: {panic}"),
+    }
+}

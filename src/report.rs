@@ -1,0 +1,224 @@
+//! What a render says while it goes on: a bar, lines, JSON, or nothing. People's text goes to stderr, JSON to stdout.
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use std::io::Write;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tilecast_core::scene::Digest;
+use tilecast_core::settings::Settings;
+use tilecast_proto::types::Progress;
+
+/// How to say it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Style {
+    /// A bar that moves, for a terminal.
+    Bar,
+    /// Lines now and then, for a log.
+    Lines,
+    /// One JSON object a line, for programs.
+    Json,
+    /// Nothing.
+    Quiet,
+}
+
+/// Lines come when a tenth more is done, but not before this.
+const LINE_PAUSE_MIN: Duration = Duration::from_secs(1);
+/// And at the latest after this.
+const LINE_PAUSE_MAX: Duration = Duration::from_secs(60);
+/// JSON progress is for programs that show it: once a second is enough for that.
+const JSON_PAUSE: Duration = Duration::from_secs(1);
+/// Steps of the bar.
+const BAR_STEPS: u64 = 10_000;
+
+/// What is told, as JSON has it.
+#[derive(Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+enum Event<'a> {
+    Listening {
+        address: &'a str,
+    },
+    Note {
+        text: &'a str,
+    },
+    Warning {
+        text: &'a str,
+    },
+    Started {
+        scene: &'a str,
+        width: u32,
+        height: u32,
+        spp: u32,
+        seed: u64,
+        settings: &'a Settings,
+        output: &'a str,
+    },
+    Progress {
+        samples_done: u64,
+        samples_total: u64,
+        samples_per_second: f64,
+        seconds_left: Option<f64>,
+        workers: u32,
+        relative_error: Option<f32>,
+    },
+    Finished {
+        digest: &'a str,
+        spp: u32,
+        seconds: f64,
+        samples_per_second: f64,
+        relative_error: Option<f32>,
+        output: &'a str,
+    },
+}
+
+/// Tells what happens.
+pub struct Report {
+    style: Style,
+    bar: ProgressBar,
+    /// When progress was told last, and which fraction it was.
+    told: (Instant, f64),
+}
+
+impl Report {
+    /// Nothing told yet.
+    pub fn new(style: Style) -> Self {
+        Self { style, bar: ProgressBar::hidden(), told: (Instant::now(), 0.0) }
+    }
+
+    /// A coordinator serves.
+    pub fn listening(&mut self, address: &str) {
+        match self.style {
+            Style::Json => print(&Event::Listening { address }),
+            Style::Quiet => {}
+            Style::Bar | Style::Lines => {
+                eprintln!("listening on {address}; start workers with: tilecast worker --connect {address}");
+            }
+        }
+    }
+
+    /// Something the scene's author should know.
+    pub fn note(&mut self, text: &str) {
+        self.say(&Event::Note { text }, || format!("note: {text}"));
+    }
+
+    /// Something went wrong that does not end the render.
+    pub fn warning(&mut self, text: &str) {
+        self.say(&Event::Warning { text }, || format!("warning: {text}"));
+    }
+
+    /// Rendering begins.
+    pub fn started(&mut self, scene: &Digest, settings: &Settings, output: &Path) {
+        let Settings { film, spp, seed, .. } = settings;
+        let (width, height) = (film.crop.width(), film.crop.height());
+        let (scene, output) = (scene.to_string(), output.display().to_string());
+        let event = Event::Started { scene: &scene, width, height, spp: *spp, seed: *seed, settings, output: &output };
+        self.say(&event, || format!("rendering {width}x{height} pixels, {spp} samples each"));
+        if self.style == Style::Bar {
+            let style = ProgressStyle::with_template("{bar:40} {msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
+            self.bar = ProgressBar::new(BAR_STEPS).with_style(style);
+        }
+    }
+
+    /// Some more is done.
+    pub fn progress(&mut self, progress: &Progress) {
+        let &Progress { samples_done, samples_total, workers, relative_error, .. } = progress;
+        let fraction = samples_done as f64 / samples_total as f64;
+        let rate = rate(progress);
+        let left = (rate > 0.0).then(|| (samples_total - samples_done.min(samples_total)) as f64 / rate);
+        let (pause, step) = (self.told.0.elapsed(), fraction - self.told.1);
+        let due = match self.style {
+            Style::Quiet => false,
+            Style::Bar => true,
+            Style::Json => pause >= JSON_PAUSE,
+            Style::Lines => pause >= LINE_PAUSE_MAX || (pause >= LINE_PAUSE_MIN && step >= 0.1),
+        };
+        if !due {
+            return;
+        }
+        self.told = (Instant::now(), fraction);
+        match self.style {
+            Style::Json => print(&Event::Progress {
+                samples_done,
+                samples_total,
+                samples_per_second: rate,
+                seconds_left: left,
+                workers,
+                relative_error,
+            }),
+            Style::Bar => {
+                self.bar.set_position((fraction * BAR_STEPS as f64) as u64);
+                self.bar.set_message(line(fraction, rate, left, relative_error));
+            }
+            _ => eprintln!("{}", line(fraction, rate, left, relative_error)),
+        }
+    }
+
+    /// The image is written.
+    pub fn finished(&mut self, progress: &Progress, digest: &Digest, output: &Path) {
+        self.bar.finish_and_clear();
+        let (digest, output) = (digest.to_string(), output.display().to_string());
+        let (spp, seconds, rate) = (progress.settings.spp, progress.elapsed.as_secs_f64(), rate(progress));
+        let relative_error = progress.relative_error;
+        let event = Event::Finished {
+            digest: &digest,
+            spp,
+            seconds,
+            samples_per_second: rate,
+            relative_error,
+            output: &output,
+        };
+        self.say(&event, || {
+            let error = relative_error.map_or_else(String::new, |e| format!(", relative error {:.2} %", 100.0 * e));
+            format!(
+                "wrote {output}: {spp} samples a pixel in {seconds:.1} s ({:.2} Msamples/s){error}\ndigest {digest}",
+                rate / 1e6
+            )
+        });
+    }
+
+    fn say(&self, event: &Event, text: impl FnOnce() -> String) {
+        match self.style {
+            Style::Quiet => {}
+            Style::Json => print(event),
+            Style::Bar | Style::Lines => self.bar.suspend(|| eprintln!("{}", text())),
+        }
+    }
+}
+
+/// Samples a second since the first unit was given out.
+fn rate(progress: &Progress) -> f64 {
+    let seconds = progress.running.as_secs_f64();
+    if seconds > 0.0 { progress.samples_done as f64 / seconds } else { 0.0 }
+}
+
+fn line(fraction: f64, rate: f64, left: Option<f64>, error: Option<f32>) -> String {
+    let left = left.map_or_else(String::new, |s| format!(", {} left", duration(s)));
+    let error = error.map_or_else(String::new, |e| format!(", relative error {:.2} %", 100.0 * e));
+    format!("{:3.0} %, {:.2} Msamples/s{left}{error}", 100.0 * fraction, rate / 1e6)
+}
+
+/// Seconds as people say them.
+fn duration(seconds: f64) -> String {
+    match Duration::try_from_secs_f64(seconds.ceil()).unwrap_or(Duration::MAX).as_secs() {
+        s @ 0..60 => format!("{s} s"),
+        s @ 60..3600 => format!("{} min {} s", s / 60, s % 60),
+        s => format!("{} h {} min", s / 3600, s / 60 % 60),
+    }
+}
+
+/// One JSON object as a line. Who no longer reads does not hear the rest; the image is written all the same.
+pub fn print(event: &impl Serialize) {
+    if let Ok(text) = serde_json::to_string(event) {
+        let _ = writeln!(std::io::stdout().lock(), "{text}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_read_well() {
+        assert_eq!([0.2, 59.0, 61.0, 7260.5].map(duration), ["1 s", "59 s", "1 min 1 s", "2 h 1 min"]);
+    }
+}

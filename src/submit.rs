@@ -1,0 +1,55 @@
+//! `tilecast submit`: sends a scene to a coordinator, waits for the image, and writes it here.
+
+use crate::follow::follow;
+use crate::output::Output;
+use crate::picture::Picture;
+use crate::report::{Report, Style};
+use crate::stop::{on_signal, unless_stopped};
+use anyhow::Context;
+use tilecast_proto::client::Client;
+use tilecast_proto::limits::NAME_BYTES_MAX;
+use tilecast_proto::transport::Connector;
+use tilecast_proto::types::JobSpec;
+
+/// What to render, where, and where to.
+pub struct Submit {
+    /// What.
+    pub picture: Picture,
+    /// Where.
+    pub connector: Connector,
+    /// Where to.
+    pub output: Output,
+    /// Side of a tile in pixels, or the coordinator's choice.
+    pub tile: Option<u32>,
+    /// How it tells of itself.
+    pub style: Style,
+}
+
+/// Submits, waits, writes.
+///
+/// # Errors
+/// Whatever keeps the image from being made or written.
+pub async fn run(submit: Submit) -> anyhow::Result<()> {
+    let stop = on_signal()?;
+    let mut report = Report::new(submit.style);
+    // Before loading: a scene may be large, and a wrong address is found at once.
+    let client = unless_stopped(&stop, Client::connect(&submit.connector)).await??;
+    let (picture, name) = (submit.picture.clone(), name(&submit.picture));
+    let load = tokio::task::spawn_blocking(move || picture.load());
+    let ready = unless_stopped(&stop, load).await?.context("loading panicked")??;
+    ready.notes.iter().for_each(|note| report.note(note));
+    unless_stopped(&stop, client.upload(&ready.scene, &ready.blobs)).await??;
+    let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
+    let job = JobSpec { scene, settings, tile: submit.tile, name, workers_hold_scene: false };
+    let no_news = async || std::future::pending().await;
+    follow(&client, (&ready, job), &submit.output, &mut report, &stop, no_news).await
+}
+
+/// The scene's file name, as far as a job's name may be long.
+fn name(picture: &Picture) -> String {
+    let mut name = picture.scene.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    while name.len() > NAME_BYTES_MAX {
+        name.pop();
+    }
+    name
+}

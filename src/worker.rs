@@ -1,0 +1,52 @@
+//! `tilecast worker`: traces for a coordinator until it is told to stop.
+
+use crate::stop::on_signal;
+use std::io::Read;
+use std::sync::Arc;
+use tilecast_core::bvh::simd::Isa;
+use tilecast_proto::limits::NAME_BYTES_MAX;
+use tilecast_proto::transport::Connector;
+use tilecast_worker::WorkerConfig;
+use tilecast_worker::scenes::SceneCache;
+
+/// For whom, and with what.
+pub struct Worker {
+    /// The coordinator.
+    pub connector: Connector,
+    /// Threads that trace.
+    pub threads: u32,
+    /// What people call it.
+    pub name: String,
+    /// Instruction set.
+    pub isa: Isa,
+    /// End when standard input does: it is a pipe from the process that started this one.
+    pub exit_with_parent: bool,
+}
+
+/// Works.
+///
+/// # Errors
+/// A refusal by the coordinator.
+pub async fn run(worker: Worker) -> anyhow::Result<()> {
+    let Worker { connector, threads, name, isa, exit_with_parent } = worker;
+    let stop = on_signal()?;
+    if exit_with_parent {
+        // A thread of its own: reading standard input cannot be broken off.
+        std::thread::spawn(|| {
+            let _ = std::io::copy(&mut std::io::stdin().lock().take(u64::MAX), &mut std::io::sink());
+            // A worker keeps nothing that matters.
+            std::process::exit(0);
+        });
+    }
+    let config = WorkerConfig { threads, isa, name, host: host() };
+    tilecast_worker::run(connector, config, Arc::new(SceneCache::default()), stop.cancelled()).await?;
+    Ok(())
+}
+
+/// This machine's name, for people; empty where it cannot be had.
+fn host() -> String {
+    let from_system = std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
+    let from_environment = || std::env::var("HOSTNAME").or_else(|_| std::env::var("COMPUTERNAME")).ok();
+    let name = from_system.or_else(from_environment).unwrap_or_default();
+    name.trim().chars().take(NAME_BYTES_MAX / 4).collect()
+}
