@@ -114,6 +114,16 @@ mod tests {
     }
 
     #[test]
+    fn a_head_that_no_encoder_writes_is_refused() {
+        // 15 bytes left out and 2 kept.
+        let mut bytes = vec![0x1f, 1, 1];
+        bytes.extend([ZERO; 11]);
+        assert_eq!(decode(&bytes, 1), Err(SumsError::Head(0)));
+        bytes[0] = 0x1e;
+        assert_eq!(decode(&bytes, 1).unwrap()[0].0[0][0], 0x0101 << 112);
+    }
+
+    #[test]
     fn a_typical_sum_takes_half() {
         let mut pixel = PixelSums::default();
         for i in 0..256u32 {

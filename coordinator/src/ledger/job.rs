@@ -55,7 +55,7 @@ pub(super) struct Job {
     /// By tile number.
     done: Vec<Ranges>,
     pub open: HashMap<UnitKey, Open>,
-    /// Units given back; entries whose unit is counted or lent meanwhile are skipped.
+    /// Units given back and not lent again; entries whose unit is counted meanwhile are skipped.
     pub returned: VecDeque<UnitKey>,
     pub samples_done: u64,
     pub samples_cut: u64,
@@ -102,7 +102,6 @@ impl Job {
         for _ in 0..self.returned.len() {
             let key = self.returned.pop_front()?;
             match self.open.get(&key) {
-                Some(open) if open.lease.is_some() => {}
                 Some(open) if open.avoid == Some(worker) && !alone => self.returned.push_back(key),
                 Some(_) => return Some(key),
                 None => {}

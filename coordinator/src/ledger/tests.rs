@@ -271,6 +271,24 @@ fn a_result_for_another_job_of_the_same_number_is_stale() {
     assert_eq!(world.ledger.accept(world.now, &header).verdict, Verdict::Stale);
 }
 
+/// A client that sees the end may fetch the film: it must be whole by then.
+#[test]
+fn a_job_ends_when_the_last_sums_are_merged() {
+    let mut world = World::new(&[spec(32, 16, 4)]);
+    let worker = world.worker(1);
+    let key = work_key(&Digest([1; 32]), &settings(32, 16, 4));
+    let leases = world.lease(worker, 9).unwrap();
+    assert_eq!(leases.len(), 2);
+    for Lease { fence, unit } in leases {
+        let header = ResultHeader { worker, fence, unit, key, trace: Duration::from_millis(1), bytes: 0 };
+        assert_eq!(world.ledger.accept(world.now, &header).verdict, Verdict::Accepted);
+    }
+    world.ledger.merged(world.now, JobId(1));
+    assert_eq!(world.state(1), JobState::Running);
+    world.ledger.merged(world.now, JobId(1));
+    assert_eq!(world.state(1), JobState::Finished);
+}
+
 #[test]
 fn a_sample_without_value_fails_the_job_and_the_next_one_goes_on() {
     let mut world = World::new(&[spec(32, 32, 4), spec(16, 16, 1)]);
