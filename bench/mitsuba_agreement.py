@@ -86,7 +86,7 @@ def mitsuba_renders(mitsuba, options, count):
         path = folder / f'{k:03d}.npy'
         if not path.exists():
             if scene is None:
-                scene = mitsuba.load_file(options.scene, **dict(d.split('=', 1) for d in options.define))
+                scene = oracle.load_scene(mitsuba, options.scene, options.define)
             np.save(path, oracle.render(mitsuba, scene, options.spp, FIRST_SEED + k).astype(np.float32))
         stack.append(np.load(path))
     return np.stack(stack).astype(np.float64)

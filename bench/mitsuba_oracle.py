@@ -24,6 +24,18 @@ def load(variant='llvm_ad_rgb'):
     return mitsuba
 
 
+def set_threads(count):
+    """Threads that Mitsuba renders with from now on. Call it when everything is loaded: with a single thread, reading
+    and writing EXR wait for ever (seen with 3.9.1)."""
+    import drjit
+    drjit.set_thread_count(count)
+
+
+def load_scene(mitsuba, path, defines=()):
+    """A scene file with NAME=VALUE parameters."""
+    return mitsuba.load_file(str(path), **dict(define.split('=', 1) for define in defines))
+
+
 def version(library):
     """Major version in the file name of an LLVM library: libLLVM-19.so, libLLVM.so.19.1."""
     digits = os.path.basename(library).replace('libLLVM', '').replace('so', '').strip('-.').split('.')[0]

@@ -2,13 +2,14 @@
 
     mitsuba_time.py normalise SCENE.xml OUT.xml [--pixels 30000] [--max-depth N]
     mitsuba_time.py reference SCENE.xml REF.exr --spp 16384
-    mitsuba_time.py curve     SCENE.xml REF.exr --spp 4,16,64,256 [--variant llvm_ad_rgb]
+    mitsuba_time.py curve     SCENE.xml REF.exr --spp 4,16,64,256 [--variant llvm_ad_rgb] [--threads N]
 
 `normalise` writes a copy of a scene with what a comparison must fix: film size, box filter (one sample, one pixel, in both
 renderers), independent sampler, float32 RGB, and the depth if asked. Give both renderers that copy.
 `reference` averages many short renders and writes the mean with its own variance, as `tilecast render` does.
-`curve` prints CSV: variant,spp,seconds,mse,relmse. Seconds are those of rendering alone, without loading and without
-compiling kernels (each sample count is rendered once beforehand); median of three seeds, errors their mean.
+`curve` prints CSV: variant,threads,spp,seconds,cpu_seconds,mse,relmse. Seconds are those of rendering alone, without
+loading and without compiling kernels (each sample count is rendered once beforehand); medians of three seeds, errors their
+mean. CPU seconds, of all threads together, are the steadier figure on a machine that is not idle.
 
 relmse = mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over pixels and channels.
 """
@@ -81,7 +82,7 @@ def normalise(options):
 
 def reference(options):
     mitsuba = oracle.load()
-    scene = mitsuba.load_file(options.scene)
+    scene = oracle.load_scene(mitsuba, options.scene)
     parts = max(2, round(int(options.spp) / REFERENCE_PART_SPP))
     total = squares = 0.0
     for k in range(parts):
@@ -96,19 +97,22 @@ def reference(options):
 
 def curve(options):
     mitsuba = oracle.load(options.variant)
-    scene = mitsuba.load_file(options.scene)
+    scene = oracle.load_scene(mitsuba, options.scene)
     truth = oracle.rgb(oracle.read_exr(mitsuba, options.reference))
-    print('variant,spp,seconds,mse,relmse')
+    oracle.set_threads(options.threads)
+    print('variant,threads,spp,seconds,cpu_seconds,mse,relmse')
     for spp in map(int, options.spp.split(',')):
         oracle.render(mitsuba, scene, spp, 0)
-        seconds, errors = [], []
+        seconds, cpu_seconds, errors = [], [], []
         for seed in range(1, SEEDS + 1):
-            start = time.perf_counter()
+            start, cpu_start = time.perf_counter(), time.process_time()
             image = oracle.render(mitsuba, scene, spp, SEEDS * spp + seed)
             seconds.append(time.perf_counter() - start)
+            cpu_seconds.append(time.process_time() - cpu_start)
             errors.append((np.mean((image - truth) ** 2), relmse(image, truth)))
         mse, relative = np.mean(errors, axis=0)
-        print(f'{options.variant},{spp},{statistics.median(seconds):.4f},{mse:.6g},{relative:.6g}', flush=True)
+        times = f'{statistics.median(seconds):.4f},{statistics.median(cpu_seconds):.4f}'
+        print(f'{options.variant},{options.threads},{spp},{times},{mse:.6g},{relative:.6g}', flush=True)
 
 
 def main():
@@ -125,8 +129,9 @@ def main():
         command.add_argument('scene')
         command.add_argument('reference')
         command.add_argument('--spp', required=True)
-        command.add_argument('--variant', default='llvm_ad_rgb')
         command.set_defaults(run=run)
+    command.add_argument('--variant', default='llvm_ad_rgb')
+    command.add_argument('--threads', type=int, default=os.cpu_count())
     options = parser.parse_args()
     options.run(options)
 

@@ -8,6 +8,9 @@ use std::time::Instant;
 use tilecast_core::bvh::simd::{Isa, Kernel, Lanes};
 use tilecast_core::bvh::{Ray, TriangleBvh, TriangleHit};
 
+/// Rays handed over at once.
+const BATCH: usize = 256;
+
 type Failure = Box<dyn std::error::Error>;
 
 fn main() -> Result<(), Failure> {
@@ -47,16 +50,17 @@ fn main() -> Result<(), Failure> {
         stats.sah_cost,
     );
     for isa in isas {
-        for pass in 0..3 {
+        for (many, pass) in [(false, 0), (false, 1), (false, 2), (true, 0), (true, 1), (true, 2)] {
             let start = Instant::now();
-            let (found, sum) = isa.dispatch(AllClosest(&mesh, &rays));
+            let (found, sum) = isa.dispatch(AllClosest(&mesh, &rays, many));
             let closest = rays.len() as f64 / start.elapsed().as_secs_f64() / 1e6;
             let start = Instant::now();
-            let occluded = isa.dispatch(AllOccluded(&mesh, &rays));
+            let occluded = isa.dispatch(AllOccluded(&mesh, &rays, many));
             let any = rays.len() as f64 / start.elapsed().as_secs_f64() / 1e6;
             println!(
-                "{} pass {pass} closest_mrays {closest:.3} any_mrays {any:.3} hits {found} occluded {occluded} sum_t {sum:.3}",
-                isa.name()
+                "{} {} pass {pass} closest_mrays {closest:.3} any_mrays {any:.3} hits {found} occluded {occluded} sum_t {sum:.3}",
+                isa.name(),
+                if many { "many" } else { "single" },
             );
         }
     }
@@ -71,32 +75,54 @@ fn vectors(bytes: &[u8]) -> Vec<Vec3> {
         .collect()
 }
 
-struct AllClosest<'a>(&'a TriangleBvh, &'a [Ray]);
+/// Closest hits of all rays, one by one or many at once: how many, and the sum of t.
+struct AllClosest<'a>(&'a TriangleBvh, &'a [Ray], bool);
 
 impl Kernel for AllClosest<'_> {
     type Output = (usize, f64);
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> (usize, f64) {
+        let AllClosest(mesh, rays, many) = self;
         let mut all = (0, 0.0);
-        for ray in self.1 {
-            if let Some(hit) = self.0.closest(lanes, ray) {
+        let mut add = |hit: Option<TriangleHit>| {
+            if let Some(hit) = hit {
                 all.0 += 1;
                 all.1 += f64::from(hit.t);
             }
+        };
+        if many {
+            let mut hits = [None; BATCH];
+            for rays in rays.chunks(BATCH) {
+                mesh.closest_many(lanes, rays, &mut hits[..rays.len()]);
+                hits[..rays.len()].iter().for_each(|&hit| add(hit));
+            }
+        } else {
+            rays.iter().for_each(|ray| add(mesh.closest(lanes, ray)));
         }
         all
     }
 }
 
-struct AllOccluded<'a>(&'a TriangleBvh, &'a [Ray]);
+/// How many of all rays are occluded, one by one or many at once.
+struct AllOccluded<'a>(&'a TriangleBvh, &'a [Ray], bool);
 
 impl Kernel for AllOccluded<'_> {
     type Output = usize;
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> usize {
-        self.1.iter().filter(|ray| self.0.occluded(lanes, ray)).count()
+        let AllOccluded(mesh, rays, many) = self;
+        if !many {
+            return rays.iter().filter(|ray| mesh.occluded(lanes, ray)).count();
+        }
+        let mut occluded = [false; BATCH];
+        let mut count = 0;
+        for rays in rays.chunks(BATCH) {
+            mesh.occluded_many(lanes, rays, &mut occluded[..rays.len()]);
+            count += occluded[..rays.len()].iter().filter(|&&o| o).count();
+        }
+        count
     }
 }
 

@@ -191,3 +191,120 @@ impl Bench {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tilecast_core::scene::{Emitter, FovAxis, Scene, Sensor};
+    use tilecast_core::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window};
+    use tilecast_core::world::World;
+    use tokio::sync::mpsc::UnboundedReceiver;
+
+    const TILE: Window = Window { x0: 0, y0: 0, x1: 4, y1: 4 };
+
+    /// An empty world under a grey sky; the scale decides whether its samples have values.
+    fn tracer(scale_exponent: i32) -> Arc<Tracer> {
+        let scene = Scene {
+            sensor: Sensor::Perspective {
+                to_world: glam::Affine3::IDENTITY,
+                fov_degrees: 50.0,
+                fov_axis: FovAxis::X,
+                principal_point_offset: [0.0; 2],
+                near_clip: 0.01,
+                far_clip: 1e4,
+            },
+            shapes: Vec::new(),
+            bsdfs: Vec::new(),
+            textures: Vec::new(),
+            emitters: vec![Emitter::Constant { radiance: glam::Vec3::ONE }],
+            meshes: Vec::new(),
+            images: Vec::new(),
+            origin: [0.0; 3],
+        };
+        let settings = Settings {
+            film: Film { width: 4, height: 4, crop: TILE, filter: Filter::Box },
+            spp: 64,
+            seed: 0,
+            integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
+            strategy: Strategy::Mis,
+            sampler: SamplerKind::Sobol,
+            scale_exponent,
+        };
+        Arc::new(Tracer::new(Arc::new(World::compile(&scene)), settings, Isa::Portable).unwrap())
+    }
+
+    fn bench() -> (Bench, UnboundedReceiver<Traced>) {
+        let (pool, traced) = Pool::new(1).unwrap();
+        (Bench::new(pool, Arc::default(), Isa::Portable), traced)
+    }
+
+    fn lease(fence: u64) -> Lease {
+        Lease { fence: Fence(fence), unit: Unit { job: JobId(1), tile: TILE, samples: 0..4 } }
+    }
+
+    const KEY: Digest = Digest([5; 32]);
+
+    #[tokio::test]
+    async fn what_was_traced_is_offered_again_to_the_next_coordinator() {
+        let (mut bench, mut traced) = bench();
+        let tracer = tracer(60);
+        bench.take(lease(1), KEY, Some(&tracer));
+        bench.take(lease(2), KEY, None);
+        assert_eq!(bench.traced(traced.recv().await.unwrap()), None);
+        let (_, sent, bytes) = bench.next_result(WorkerId(1)).unwrap();
+        assert_eq!((sent.worker, sent.fence, sent.key, sent.bytes), (WorkerId(1), Fence(1), KEY, bytes.len()));
+        assert!(sent.sums(&bytes).is_ok());
+        assert_eq!(bench.next_result(WorkerId(1)), None, "sent twice");
+        bench.begin_session();
+        let (ticket, again, bytes_again) = bench.next_result(WorkerId(9)).unwrap();
+        assert_eq!((again.worker, again.unit, bytes_again), (WorkerId(9), sent.unit, bytes));
+        // The one that was not begun is another's now, and neither is renewed.
+        bench.start_job(JobId(1), &tracer);
+        assert_eq!(bench.fences(), []);
+        bench.settle(ticket);
+        bench.begin_session();
+        assert_eq!(bench.next_result(WorkerId(9)), None);
+    }
+
+    #[tokio::test]
+    async fn a_lease_that_is_dropped_is_not_traced_on() {
+        let (mut bench, mut traced) = bench();
+        // The pool's only thread is busy until the lease is dropped.
+        let (go, wait) = std::sync::mpsc::channel::<()>();
+        let pool = Arc::clone(&bench.pool);
+        let busy = tokio::spawn(async move { pool.run(move || wait.recv()).await });
+        tokio::task::yield_now().await;
+        bench.take(lease(1), KEY, Some(&tracer(60)));
+        assert_eq!(bench.fences(), [Fence(1)]);
+        bench.drop_leases(&[Fence(1)]);
+        assert_eq!(bench.fences(), []);
+        go.send(()).unwrap();
+        busy.await.unwrap();
+        let unit = traced.recv().await.unwrap();
+        assert_eq!(unit.result, Ok(None));
+        assert_eq!(bench.traced(unit), None);
+    }
+
+    #[tokio::test]
+    async fn a_sample_without_a_value_is_reported_with_its_replay() {
+        let (mut bench, mut traced) = bench();
+        bench.take(lease(7), KEY, Some(&tracer(300)));
+        let (fence, job, failure) = bench.traced(traced.recv().await.unwrap()).unwrap();
+        assert_eq!((fence, job), (Fence(7), JobId(1)));
+        assert!(matches!(failure, Failure::Sample(text) if text.contains("--crop 0,0,1,1")));
+    }
+
+    #[test]
+    fn slots_are_counted_in_samples() {
+        let (mut bench, _traced) = bench();
+        bench.set_unit_samples(64);
+        assert_eq!(bench.free_slots(3), 6);
+        bench.take(lease(1), KEY, None);
+        bench.take(lease(2), KEY, None);
+        assert_eq!(bench.free_slots(3), 4);
+        bench.set_unit_samples(1000);
+        assert_eq!(bench.free_slots(3), 5);
+        bench.set_unit_samples(1);
+        assert_eq!(bench.free_slots(3), 0);
+    }
+}

@@ -10,6 +10,7 @@ mod aabb;
 mod build;
 mod node;
 pub mod simd;
+mod stream;
 #[cfg(test)]
 mod tests;
 mod traverse;
@@ -18,7 +19,7 @@ mod triangle;
 pub use aabb::Aabb;
 pub use build::{Built, LeafCost};
 pub use node::{Bvh8, Child, Leaf, Node};
-pub use traverse::{Leaves, Ray};
+pub use traverse::{Leaves, Ray, Slabs};
 pub use triangle::triangle_bounds;
 
 use glam::Vec3;
@@ -58,20 +59,13 @@ impl TriangleBvh {
         let Built { mut bvh, order } = Built::new(&boxes, LEAF_COST);
         drop(boxes);
         let mut blocks = Vec::with_capacity(order.len() / 2);
-        for node in &mut bvh.nodes {
-            let slots: Vec<usize> = node.occupied().collect();
-            for slot in slots {
-                if let Some(leaf) = node.children[slot].as_leaf() {
-                    let first = blocks.len();
-                    let triangles = &order[leaf.first as usize..][..leaf.count as usize];
-                    blocks.extend(
-                        triangles.chunks(BLOCK).map(|chunk| Block::new(chunk.iter().map(|&i| (i, vertices(i))))),
-                    );
-                    node.children[slot] =
-                        Child::leaf(Leaf { first: first as u32, count: (blocks.len() - first) as u32 });
-                }
-            }
-        }
+        bvh.map_leaves(|leaf| {
+            let first = blocks.len();
+            let triangles = &order[leaf.first as usize..][..leaf.count as usize];
+            let block = |chunk: &[u32]| Block::new(chunk.iter().map(|&i| (i, vertices(i))));
+            blocks.extend(triangles.chunks(BLOCK).map(block));
+            Leaf { first: first as u32, count: (blocks.len() - first) as u32 }
+        });
         blocks.shrink_to_fit();
         Self { bvh, blocks }
     }
@@ -86,6 +80,20 @@ impl TriangleBvh {
     #[inline]
     pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
         lanes.run(Occluded { mesh: self, ray })
+    }
+
+    /// [`TriangleBvh::closest`] of many rays at once, the same hits to the bit: up to twice as fast for rays that go
+    /// everywhere in a mesh larger than the caches, slower for neighbouring rays. `hits` is as long as `rays`; a
+    /// hundred rays a call are enough.
+    #[inline]
+    pub fn closest_many<L: Lanes>(&self, lanes: L, rays: &[Ray], hits: &mut [Option<TriangleHit>]) {
+        lanes.run(ClosestMany { mesh: self, rays, hits });
+    }
+
+    /// [`TriangleBvh::occluded`] of many rays at once. `occluded` is as long as `rays`.
+    #[inline]
+    pub fn occluded_many<L: Lanes>(&self, lanes: L, rays: &[Ray], occluded: &mut [bool]) {
+        lanes.run(OccludedMany { mesh: self, rays, occluded });
     }
 
     /// Size and quality.
@@ -124,7 +132,7 @@ impl Kernel for Closest<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut blocks = Blocks::new(lanes, self.ray, &self.mesh.blocks);
+        let mut blocks = Blocks::new(self.ray, &self.mesh.blocks);
         self.mesh.bvh.nearest(lanes, self.ray, &mut blocks);
         blocks.nearest.hit()
     }
@@ -141,7 +149,43 @@ impl Kernel for Occluded<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut blocks = Blocks::new(lanes, self.ray, &self.mesh.blocks);
+        let mut blocks = Blocks::new(self.ray, &self.mesh.blocks);
         self.mesh.bvh.any(lanes, self.ray, &mut blocks)
+    }
+}
+
+/// [`TriangleBvh::closest_many`] as compiled for a path.
+struct ClosestMany<'a> {
+    mesh: &'a TriangleBvh,
+    rays: &'a [Ray],
+    hits: &'a mut [Option<TriangleHit>],
+}
+
+impl Kernel for ClosestMany<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) {
+        let start = |ray: &Ray| Blocks::new(ray, &self.mesh.blocks);
+        let finish = |index: usize, blocks: &Blocks| self.hits[index] = blocks.nearest.hit();
+        self.mesh.bvh.nearest_many(lanes, self.rays, start, finish);
+    }
+}
+
+/// [`TriangleBvh::occluded_many`] as compiled for a path.
+struct OccludedMany<'a> {
+    mesh: &'a TriangleBvh,
+    rays: &'a [Ray],
+    occluded: &'a mut [bool],
+}
+
+impl Kernel for OccludedMany<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) {
+        let start = |ray: &Ray| Blocks::new(ray, &self.mesh.blocks);
+        let finish = |index: usize, any| self.occluded[index] = any;
+        self.mesh.bvh.any_many(lanes, self.rays, start, finish);
     }
 }

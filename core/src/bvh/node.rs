@@ -58,25 +58,30 @@ pub struct Node {
     /// `bounds[axis][0]` are the lower sides, `bounds[axis][1]` the upper ones. An empty slot's box is inside out, from +inf to
     /// -inf, which no ray hits.
     pub(super) bounds: [[[f32; WIDTH]; 2]; 3],
-    /// Meaningless in empty slots.
-    pub(super) children: [Child; WIDTH],
+    /// What [`Child`] says; meaningless in empty slots.
+    pub(super) children: [u32; WIDTH],
 }
 
 impl Node {
     pub(super) const EMPTY: Node =
-        Node { bounds: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3], children: [Child::ROOT; WIDTH] };
+        Node { bounds: [[[f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]]; 3], children: [0; WIDTH] };
 
     pub(super) fn set(&mut self, slot: usize, bounds: Aabb, child: Child) {
         for axis in 0..3 {
             self.bounds[axis][0][slot] = bounds.min[axis];
             self.bounds[axis][1][slot] = bounds.max[axis];
         }
-        self.children[slot] = child;
+        self.children[slot] = child.0;
     }
 
     /// The slots that are not empty.
     pub(super) fn occupied(&self) -> impl Iterator<Item = usize> + '_ {
         (0..WIDTH).filter(|&slot| self.bounds[0][0][slot] <= self.bounds[0][1][slot])
+    }
+
+    #[inline(always)]
+    pub(super) fn child(&self, slot: usize) -> Child {
+        Child(self.children[slot & (WIDTH - 1)])
     }
 
     pub(super) fn slot_bounds(&self, slot: usize) -> Aabb {
@@ -95,6 +100,17 @@ pub struct Bvh8 {
 impl Bvh8 {
     /// The stack of a traversal; the builder keeps every tree within it.
     pub(super) const STACK: usize = 192;
+
+    /// Puts other runs of items in the place of the leaves' own, in the order of the nodes.
+    pub fn map_leaves(&mut self, mut other: impl FnMut(Leaf) -> Leaf) {
+        for node in &mut self.nodes {
+            for slot in 0..WIDTH {
+                if let Some(leaf) = node.child(slot).as_leaf() {
+                    node.children[slot] = Child::leaf(other(leaf)).0;
+                }
+            }
+        }
+    }
 
     /// How many nodes there are, and how many bytes they take.
     pub fn size(&self) -> (usize, usize) {
@@ -115,7 +131,7 @@ impl Bvh8 {
             .iter()
             .flat_map(|node| node.occupied().map(move |slot| (node, slot)))
             .map(|(node, slot)| {
-                let cost = node.children[slot].as_leaf().map_or(node_cost, &leaf_cost);
+                let cost = node.child(slot).as_leaf().map_or(node_cost, &leaf_cost);
                 node.slot_bounds(slot).half_area() * cost
             })
             .sum();
@@ -132,8 +148,8 @@ impl Bvh8 {
             worst = worst.max(need + 1);
             open.extend(
                 node.occupied()
-                    .filter(|&slot| node.children[slot].as_leaf().is_none())
-                    .map(|slot| (node.children[slot].0 as usize, need)),
+                    .filter(|&slot| node.child(slot).as_leaf().is_none())
+                    .map(|slot| (node.children[slot] as usize, need)),
             );
         }
         worst

@@ -3,7 +3,7 @@
 
 use super::simd::{Isa, Kernel, Lanes};
 use super::triangle::{BLOCK, Block, Blocks};
-use super::{Aabb, Built, Bvh8, Leaf, LeafCost, Leaves, Ray, TriangleBvh, TriangleHit};
+use super::{Aabb, Built, Bvh8, Leaf, LeafCost, Leaves, Ray, Slabs, TriangleBvh, TriangleHit};
 use glam::{Mat3, Vec3};
 use proptest::prelude::*;
 
@@ -42,11 +42,27 @@ impl Kernel for Answers<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut all = Blocks::new(lanes, self.ray, self.blocks);
+        let slabs = Slabs::new(self.ray);
+        let mut all = Blocks::new(self.ray, self.blocks);
         for first in 0..self.blocks.len() as u32 {
-            all.nearest(lanes, Leaf { first, count: 1 }, f32::INFINITY);
+            all.nearest(lanes, &slabs, Leaf { first, count: 1 }, f32::INFINITY);
         }
         (self.bvh.closest(lanes, self.ray), self.bvh.occluded(lanes, self.ray), all.nearest.hit())
+    }
+}
+
+/// All rays at once.
+struct Many<'a>(&'a TriangleBvh, &'a [Ray]);
+
+impl Kernel for Many<'_> {
+    type Output = Vec<(Option<TriangleHit>, bool)>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) -> Self::Output {
+        let (mut hits, mut occluded) = (vec![None; self.1.len()], vec![false; self.1.len()]);
+        self.0.closest_many(lanes, self.1, &mut hits);
+        self.0.occluded_many(lanes, self.1, &mut occluded);
+        hits.into_iter().zip(occluded).collect()
     }
 }
 
@@ -65,13 +81,16 @@ fn agree(triangles: &[Triangle], rays: &[Ray]) -> usize {
         let blocks = &blocks;
         isa.dispatch(Answers { bvh: &bvh, blocks, ray })
     };
+    let many: Vec<_> = Isa::available().into_iter().map(|isa| isa.dispatch(Many(&bvh, rays))).collect();
     let mut found = 0;
-    for ray in rays {
+    for (index, ray) in rays.iter().enumerate() {
         let (closest, any, brute) = answers(Isa::Portable, ray);
         assert_eq!(bits(closest), bits(brute), "{ray:?}");
         assert_eq!(any, brute.is_some(), "{ray:?}");
         found += usize::from(any);
-        for isa in Isa::available() {
+        for (isa, many) in Isa::available().into_iter().zip(&many) {
+            let (c, a) = many[index];
+            assert_eq!((bits(c), a), (bits(closest), any), "many, {} {ray:?}", isa.name());
             let (c, a, b) = answers(isa, ray);
             assert_eq!((bits(c), a, bits(b)), (bits(closest), any, bits(brute)), "{} {ray:?}", isa.name());
         }
@@ -304,13 +323,15 @@ struct Shown<'a> {
 }
 
 impl<L: Lanes> Leaves<L> for Shown<'_> {
-    fn prefetch(&self, _: Leaf) {}
-    fn nearest(&mut self, _: L, leaf: Leaf, t_max: f32) -> f32 {
+    fn address(&self, leaf: Leaf) -> *const u8 {
+        self.order.as_ptr().wrapping_add(leaf.first as usize).cast()
+    }
+    fn nearest(&mut self, _: L, _: &Slabs, leaf: Leaf, t_max: f32) -> f32 {
         self.seen.extend(&self.order[leaf.first as usize..][..leaf.count as usize]);
         t_max
     }
-    fn any(&mut self, lanes: L, leaf: Leaf) -> bool {
-        Leaves::<L>::nearest(self, lanes, leaf, 0.0);
+    fn any(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, t_max: f32) -> bool {
+        self.nearest(lanes, slabs, leaf, t_max);
         false
     }
 }

@@ -7,7 +7,7 @@
 //! traversal.
 
 use super::node::{Bvh8, Child, Leaf, Node};
-use super::simd::{Floats, Lanes, StackMemory, prefetch};
+use super::simd::{Floats, Lanes, StackMemory, prefetch, prefetch_lines};
 use glam::Vec3;
 
 /// A half-line, up to `t_max` directions from its origin.
@@ -29,83 +29,76 @@ const EXIT_PAD: f32 = 1.0 + 16.0 / (1 << 24) as f32;
 /// infinity would be NaN. Over any distance at which f32 still resolves the box, the ray moves by nothing.
 const LEAST_DIRECTION: f32 = 1e-24;
 
-/// The reciprocals of a ray's direction.
+/// A ray made ready for boxes.
 #[derive(Clone, Copy, Debug)]
-pub struct Reciprocals {
-    /// For the side where the ray enters a slab.
+pub struct Slabs {
+    /// The ray's origin.
+    pub origin: [f32; 3],
+    /// Reciprocals of the direction for the sides where the ray enters.
     pub entry: [f32; 3],
-    /// For the side where it leaves.
+    /// Reciprocals for the sides where it leaves.
     pub exit: [f32; 3],
     /// 0 where it enters at the lower side, 1 where at the upper.
     pub entry_side: [usize; 3],
 }
 
-impl Reciprocals {
-    /// Of a direction that is not zero.
+impl Slabs {
+    /// Of a ray whose direction is not zero.
     #[inline(always)]
-    pub fn new(direction: Vec3) -> Self {
-        let d = direction.to_array();
+    pub fn new(ray: &Ray) -> Self {
+        let d = ray.direction.to_array();
         let largest = d[0].abs().max(d[1].abs()).max(d[2].abs());
         let least = (largest * LEAST_DIRECTION).max(f32::MIN_POSITIVE);
         let entry = d.map(|x| 1.0 / if x.abs() < least { least.copysign(x) } else { x });
-        Self { entry, exit: entry.map(|r| r * EXIT_PAD), entry_side: entry.map(|r| usize::from(r < 0.0)) }
-    }
-}
-
-/// A ray against eight boxes at once.
-struct Slabs<L: Lanes> {
-    origin: [L::X8; 3],
-    entry: [L::X8; 3],
-    exit: [L::X8; 3],
-    entry_side: [usize; 3],
-    zero: L::X8,
-    lanes: L,
-}
-
-impl<L: Lanes> Slabs<L> {
-    #[inline(always)]
-    fn new(lanes: L, ray: &Ray) -> Self {
-        let reciprocals = Reciprocals::new(ray.direction);
-        let splat = |x: [f32; 3]| [L::X8::splat(lanes, x[0]), L::X8::splat(lanes, x[1]), L::X8::splat(lanes, x[2])];
         Self {
-            origin: splat(ray.origin.to_array()),
-            entry: splat(reciprocals.entry),
-            exit: splat(reciprocals.exit),
-            entry_side: reciprocals.entry_side,
-            zero: L::X8::splat(lanes, 0.0),
-            lanes,
+            origin: ray.origin.to_array(),
+            entry,
+            exit: entry.map(|r| r * EXIT_PAD),
+            entry_side: entry.map(|r| usize::from(r < 0.0)),
         }
     }
 
-    /// The slots whose boxes the ray passes between 0 and `t_max`, and where it enters each, at least +0.
+    /// Where the ray enters `N` boxes, at least +0, and where it leaves them, at most `t_max`; it misses those that it
+    /// leaves before it enters. `side` gives the lower (0) or upper (1) sides along an axis.
     #[inline(always)]
-    fn test(&self, node: &Node, t_max: L::X8) -> (u32, L::X8) {
-        let side =
-            |axis: usize, side: usize| L::X8::load(self.lanes, &node.bounds[axis][side & 1]).sub(self.origin[axis]);
-        let [sx, sy, sz] = self.entry_side;
-        let near_x = side(0, sx).mul(self.entry[0]);
-        let near_y = side(1, sy).mul(self.entry[1]);
-        let near_z = side(2, sz).mul(self.entry[2]);
-        let far_x = side(0, sx ^ 1).mul(self.exit[0]);
-        let far_y = side(1, sy ^ 1).mul(self.exit[1]);
-        let far_z = side(2, sz ^ 1).mul(self.exit[2]);
-        let near = near_x.max(near_y).max(near_z.max(self.zero));
-        let far = far_x.min(far_y).min(far_z.min(t_max));
-        (near.le(far), near)
+    pub fn spans<const N: usize, V: Floats<N>>(
+        &self,
+        token: V::Token,
+        side: impl Fn(usize, usize) -> V,
+        t_max: f32,
+    ) -> (V, V) {
+        let splat = |x: f32| V::splat(token, x);
+        let entry = |axis: usize| {
+            let side = side(axis, self.entry_side[axis] & 1);
+            side.sub(splat(self.origin[axis])).mul(splat(self.entry[axis]))
+        };
+        let exit = |axis: usize| {
+            let side = side(axis, self.entry_side[axis] & 1 ^ 1);
+            side.sub(splat(self.origin[axis])).mul(splat(self.exit[axis]))
+        };
+        let near = entry(0).max(entry(1)).max(entry(2).max(splat(0.0)));
+        let far = exit(0).min(exit(1)).min(exit(2).min(splat(t_max)));
+        (near, far)
+    }
+
+    /// [`Slabs::spans`] of the children of a node.
+    #[inline(always)]
+    pub(super) fn node<L: Lanes>(&self, lanes: L, node: &Node, t_max: f32) -> (L::X8, L::X8) {
+        self.spans(lanes, |axis, side| L::X8::load(lanes, &node.bounds[axis][side]), t_max)
     }
 }
 
 /// What the leaves of a hierarchy hold, met by one ray.
 pub trait Leaves<L: Lanes> {
-    /// Asks for the memory of a leaf that is soon looked into.
-    fn prefetch(&self, leaf: Leaf);
+    /// Where the leaf's items begin in memory, to be fetched ahead.
+    fn address(&self, leaf: Leaf) -> *const u8;
 
-    /// Looks for a hit up to `t_max` in a leaf, keeps it, and returns the `t` up to which hits still matter. No hit may be
-    /// nearer than the entry into its own box.
-    fn nearest(&mut self, lanes: L, leaf: Leaf, t_max: f32) -> f32;
+    /// Looks for a hit up to `t_max` in a leaf, keeps it, and returns the `t` up to which hits still matter. A hit may not
+    /// be nearer than the ray's entry into the box that the hierarchy was built from, by [`Slabs::spans`].
+    fn nearest(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, t_max: f32) -> f32;
 
-    /// Whether anything in the leaf is hit up to the ray's own `t_max`.
-    fn any(&mut self, lanes: L, leaf: Leaf) -> bool;
+    /// Whether anything in the leaf is hit up to `t_max`, under the same rule.
+    fn any(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, t_max: f32) -> bool;
 }
 
 /// A postponed child and where the ray enters it: ordered by entry, since entries are not negative.
@@ -131,28 +124,29 @@ impl Bvh8 {
     /// Shows `leaves` every leaf that the ray may hit, roughly from near to far, up to the `t` they return.
     #[inline(always)]
     pub fn nearest<L: Lanes>(&self, lanes: L, ray: &Ray, leaves: &mut impl Leaves<L>) {
-        let slabs = Slabs::new(lanes, ray);
+        let slabs = Slabs::new(ray);
         let mut memory = StackMemory::<Postponed, { Bvh8::STACK }>::new();
         let mut stack = memory.stack();
         let mut t_max = ray.t_max;
         let mut next = Child::ROOT;
         'visit: loop {
             if let Some(leaf) = next.as_leaf() {
-                t_max = leaves.nearest(lanes, leaf, t_max);
+                t_max = leaves.nearest(lanes, &slabs, leaf, t_max);
             } else {
                 let node = &self.nodes[next.0 as usize];
-                let (mut hits, entry) = slabs.test(node, L::X8::splat(lanes, t_max));
+                let (near, far) = slabs.node(lanes, node, t_max);
+                let mut hits = near.le(far);
                 if hits.count_ones() == 1 {
-                    next = node.children[hits.trailing_zeros() as usize & 7];
+                    next = node.child(hits.trailing_zeros() as usize);
                     continue 'visit;
                 }
-                let entry = entry.store();
+                let entries = near.store();
                 let bottom = stack.len();
                 while hits != 0 {
                     let slot = hits.trailing_zeros() as usize & 7;
                     hits &= hits - 1;
-                    self.prefetch(node.children[slot], leaves);
-                    stack.push(Postponed::new(entry[slot], node.children[slot]));
+                    self.prefetch(node.child(slot), leaves);
+                    stack.push(Postponed::new(entries[slot], node.child(slot)));
                     sift_down(stack.above(bottom));
                 }
             }
@@ -169,14 +163,17 @@ impl Bvh8 {
     /// Whether `leaves` report a hit anywhere on the ray; the first report ends the search.
     #[inline(always)]
     pub fn any<L: Lanes>(&self, lanes: L, ray: &Ray, leaves: &mut impl Leaves<L>) -> bool {
-        let slabs = Slabs::new(lanes, ray);
+        let slabs = Slabs::new(ray);
         // What waits is a node and, in the low byte, which of its slots are still to be tried.
         let mut memory = StackMemory::<u64, { Bvh8::STACK }>::new();
         let mut stack = memory.stack();
-        let t_max = L::X8::splat(lanes, ray.t_max);
+        let hits_of = |node: &Node| {
+            let (near, far) = slabs.node(lanes, node, ray.t_max);
+            near.le(far)
+        };
         let mut node = &self.nodes[0];
         let mut index = 0;
-        let mut hits = slabs.test(node, t_max).0;
+        let mut hits = hits_of(node);
         loop {
             if hits == 0 {
                 let Some(top) = stack.pop() else { return false };
@@ -184,28 +181,28 @@ impl Bvh8 {
                 node = &self.nodes[index as usize];
                 hits = top as u32 & 0xff;
             }
-            let child = node.children[hits.trailing_zeros() as usize & 7];
+            let child = node.child(hits.trailing_zeros() as usize);
             hits &= hits - 1;
             if let Some(leaf) = child.as_leaf() {
-                if leaves.any(lanes, leaf) {
+                if leaves.any(lanes, &slabs, leaf, ray.t_max) {
                     return true;
                 }
                 continue;
             }
             if hits != 0 {
-                self.prefetch(node.children[hits.trailing_zeros() as usize & 7], leaves);
+                self.prefetch(node.child(hits.trailing_zeros() as usize), leaves);
                 stack.push(index << 8 | u64::from(hits));
             }
             index = u64::from(child.0);
             node = &self.nodes[child.0 as usize];
-            hits = slabs.test(node, t_max).0;
+            hits = hits_of(node);
         }
     }
 
     #[inline(always)]
     fn prefetch<L: Lanes>(&self, child: Child, leaves: &impl Leaves<L>) {
         match child.as_leaf() {
-            Some(leaf) => leaves.prefetch(leaf),
+            Some(leaf) => prefetch_lines(leaves.address(leaf)),
             None => prefetch(&self.nodes, child.0 as usize),
         }
     }

@@ -6,8 +6,8 @@
 //! into it; both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
 
 use super::node::Leaf;
-use super::simd::{Floats, Lanes, prefetch};
-use super::traverse::{Leaves, Ray, Reciprocals};
+use super::simd::{Floats, Lanes};
+use super::traverse::{Leaves, Ray, Slabs};
 use super::{Aabb, TriangleHit};
 use glam::Vec3;
 
@@ -88,14 +88,18 @@ impl Nearest {
 }
 
 /// A ray against the blocks of a mesh.
-pub struct Blocks<'a, L: Lanes> {
+#[derive(Clone, Copy)]
+pub struct Blocks<'a> {
     blocks: &'a [Block],
     /// The axes, the one where the ray is longest last.
     axes: [usize; 3],
-    origin: [L::X4; 3],
-    shear: [L::X4; 2],
-    scale: L::X4,
-    ray: &'a Ray,
+    /// The ray's origin along them.
+    origin: [f32; 3],
+    /// What the first two coordinates lose a unit of the third.
+    shear: [f32; 2],
+    /// From the third coordinate to t.
+    scale: f32,
+    /// The nearest hit so far.
     pub nearest: Nearest,
 }
 
@@ -108,9 +112,9 @@ struct Inside<V> {
     det: V,
 }
 
-impl<'a, L: Lanes> Blocks<'a, L> {
+impl<'a> Blocks<'a> {
     #[inline(always)]
-    pub fn new(lanes: L, ray: &'a Ray, blocks: &'a [Block]) -> Self {
+    pub fn new(ray: &Ray, blocks: &'a [Block]) -> Self {
         let d = ray.direction.to_array();
         let [x, y, z] = d.map(f32::abs);
         let axes = if x > y && x > z {
@@ -121,34 +125,31 @@ impl<'a, L: Lanes> Blocks<'a, L> {
             [0, 1, 2]
         };
         let [dx, dy, dz] = axes.map(|axis| d[axis]);
-        let splat = |x: f32| L::X4::splat(lanes, x);
-        let origin = ray.origin.to_array();
         Self {
             blocks,
             axes,
-            origin: [splat(origin[axes[0]]), splat(origin[axes[1]]), splat(origin[axes[2]])],
-            shear: [splat(dx / dz), splat(dy / dz)],
-            scale: splat(1.0 / dz),
-            ray,
+            origin: axes.map(|axis| ray.origin[axis]),
+            shear: [dx / dz, dy / dz],
+            scale: 1.0 / dz,
             nearest: Nearest { t: ray.t_max, v: 0.0, w: 0.0, det: 1.0, triangle: u32::MAX },
         }
     }
 
     /// The block's vertices along axis `axes[k]`, relative to the origin.
     #[inline(always)]
-    fn relative(&self, lanes: L, block: &Block, k: usize) -> [L::X4; 3] {
+    fn relative<L: Lanes>(&self, lanes: L, block: &Block, k: usize) -> [L::X4; 3] {
         let [a, b, c] = &block.rows[self.axes[k].min(2)];
-        let o = self.origin[k];
+        let o = L::X4::splat(lanes, self.origin[k]);
         [L::X4::load(lanes, a).sub(o), L::X4::load(lanes, b).sub(o), L::X4::load(lanes, c).sub(o)]
     }
 
     /// Tests a block; None where no lane is inside its edges.
     #[inline(always)]
-    fn test(&self, lanes: L, block: &Block, t_max: f32) -> Option<Inside<L::X4>> {
+    fn test<L: Lanes>(&self, lanes: L, slabs: &Slabs, block: &Block, t_max: f32) -> Option<Inside<L::X4>> {
         let [az, bz, cz] = self.relative(lanes, block, 2);
         let shear = |k: usize| {
             let [a, b, c] = self.relative(lanes, block, k);
-            let s = self.shear[k];
+            let s = L::X4::splat(lanes, self.shear[k]);
             [a.sub(s.mul(az)), b.sub(s.mul(bz)), c.sub(s.mul(cz))]
         };
         let [ax, bx, cx] = shear(0);
@@ -162,59 +163,49 @@ impl<'a, L: Lanes> Blocks<'a, L> {
             return None;
         }
         let det = u.add(v).add(w);
-        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).div(det).mul(self.scale);
+        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).div(det).mul(L::X4::splat(lanes, self.scale));
         // A zero `det` makes t NaN or infinite; t_max may be infinite too, so it is named.
         let not_flat = det.lt(zero) | zero.lt(det);
         let mask = inside & not_flat & zero.lt(t) & t.le(L::X4::splat(lanes, t_max));
         if mask == 0 {
             return None;
         }
-        let (mask, t) = self.in_own_box(lanes, block, mask, t, t_max);
+        let (mask, t) = in_own_box(lanes, slabs, block, mask, t, t_max);
         (mask != 0).then_some(Inside { mask, t, v, w, det })
-    }
-
-    /// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it. This is rare: about once a ray.
-    #[inline(always)]
-    fn in_own_box(&self, lanes: L, block: &Block, mask: u32, t: L::X4, t_max: f32) -> (u32, L::X4) {
-        let splat = |x: f32| L::X4::splat(lanes, x);
-        let reciprocals = Reciprocals::new(self.ray.direction);
-        let tight = |axis: usize| {
-            let [a, b, c] = &block.rows[axis];
-            let [a, b, c] = [L::X4::load(lanes, a), L::X4::load(lanes, b), L::X4::load(lanes, c)];
-            [a.min(b).min(c), a.max(b).max(c)]
-        };
-        let sides = [tight(0), tight(1), tight(2)];
-        let [x, y, z] = [sides[0][1].sub(sides[0][0]), sides[1][1].sub(sides[1][0]), sides[2][1].sub(sides[2][0])];
-        let extent = x.max(y).max(z).mul(splat(EXTENT_PAD));
-        let zero = splat(0.0);
-        let mut near = zero;
-        let mut far = splat(f32::INFINITY);
-        for (axis, [lower, upper]) in sides.into_iter().enumerate() {
-            let pad = |side: L::X4| extent.add(side.max(zero.sub(side)).mul(splat(VERTEX_PAD)));
-            let padded = [lower.sub(pad(lower)), upper.add(pad(upper))];
-            let origin = splat(self.ray.origin[axis]);
-            let enter = reciprocals.entry_side[axis] & 1;
-            let entry = padded[enter].sub(origin).mul(splat(reciprocals.entry[axis]));
-            let exit = padded[enter ^ 1].sub(origin).mul(splat(reciprocals.exit[axis]));
-            near = near.max(entry);
-            far = far.min(exit);
-        }
-        let t = t.max(near);
-        (mask & near.le(far) & t.le(splat(t_max)), t)
     }
 }
 
-impl<L: Lanes> Leaves<L> for Blocks<'_, L> {
+/// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it. This is rare: about once a ray.
+#[inline(always)]
+fn in_own_box<L: Lanes>(lanes: L, slabs: &Slabs, block: &Block, mask: u32, t: L::X4, t_max: f32) -> (u32, L::X4) {
+    let splat = |x: f32| L::X4::splat(lanes, x);
+    let tight = |axis: usize| {
+        let [a, b, c] = &block.rows[axis];
+        let [a, b, c] = [L::X4::load(lanes, a), L::X4::load(lanes, b), L::X4::load(lanes, c)];
+        [a.min(b).min(c), a.max(b).max(c)]
+    };
+    // The same as `triangle_bounds`.
+    let sides = [tight(0), tight(1), tight(2)];
+    let [x, y, z] = sides.map(|[lower, upper]| upper.sub(lower));
+    let extent = x.max(y).max(z).mul(splat(EXTENT_PAD));
+    let pad = |side: L::X4| extent.add(side.max(splat(0.0).sub(side)).mul(splat(VERTEX_PAD)));
+    let padded = sides.map(|[lower, upper]| [lower.sub(pad(lower)), upper.add(pad(upper))]);
+    let (near, far) = slabs.spans(lanes, |axis, side| padded[axis][side], f32::INFINITY);
+    let t = t.max(near);
+    (mask & near.le(far) & t.le(splat(t_max)), t)
+}
+
+impl<L: Lanes> Leaves<L> for Blocks<'_> {
     #[inline(always)]
-    fn prefetch(&self, leaf: Leaf) {
-        prefetch(self.blocks, leaf.first as usize);
+    fn address(&self, leaf: Leaf) -> *const u8 {
+        self.blocks.as_ptr().wrapping_add(leaf.first as usize).cast()
     }
 
     #[inline(always)]
-    fn nearest(&mut self, lanes: L, leaf: Leaf, _: f32) -> f32 {
+    fn nearest(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, _: f32) -> f32 {
         let first = leaf.first as usize;
         for block in &self.blocks[first..first + leaf.count as usize] {
-            let Some(inside) = self.test(lanes, block, self.nearest.t) else {
+            let Some(inside) = self.test(lanes, slabs, block, self.nearest.t) else {
                 continue;
             };
             let [t, v, w, det] = [inside.t, inside.v, inside.w, inside.det].map(L::X4::store);
@@ -233,10 +224,10 @@ impl<L: Lanes> Leaves<L> for Blocks<'_, L> {
     }
 
     #[inline(always)]
-    fn any(&mut self, lanes: L, leaf: Leaf) -> bool {
+    fn any(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, t_max: f32) -> bool {
         let first = leaf.first as usize;
         self.blocks[first..first + leaf.count as usize]
             .iter()
-            .any(|block| self.test(lanes, block, self.ray.t_max).is_some())
+            .any(|block| self.test(lanes, slabs, block, t_max).is_some())
     }
 }

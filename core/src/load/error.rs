@@ -162,8 +162,14 @@ impl SourceCode for Place {
             return Err(MietteError::OutOfBounds);
         }
         let whole = SourceSpan::from((0, line.text.len()));
-        let contents =
-            MietteSpanContents::new_named(self.file.clone(), line.text.as_bytes(), whole, line.number - 1, 0, 1);
+        let contents = MietteSpanContents::new_named(
+            self.file.clone(),
+            line.text.as_bytes(),
+            whole,
+            line.number - 1,
+            line.column - 1,
+            1,
+        );
         Ok(Box::new(contents))
     }
 }
@@ -236,7 +242,7 @@ mod tests {
         let handler = miette::GraphicalReportHandler::new_themed(miette::GraphicalTheme::none());
         let mut shown = String::new();
         handler.render_report(&mut shown, &error).unwrap();
-        assert!(shown.contains("no such thing") && shown.contains("a.xml:2"), "{shown}");
+        assert!(shown.contains("no such thing") && shown.contains("a.xml:2:12"), "{shown}");
         assert!(shown.contains("2 │ <bsdf type='difuse'/>") || shown.contains("2 | <bsdf type='difuse'/>"), "{shown}");
     }
 

@@ -2,7 +2,7 @@
 
 use super::Analytic;
 use crate::bvh::simd::Lanes;
-use crate::bvh::{Aabb, Built, Bvh8, Leaf, LeafCost, Leaves, Ray};
+use crate::bvh::{Aabb, Built, Bvh8, Leaf, LeafCost, Leaves, Ray, Slabs};
 
 /// Boxes around analytic shapes, and the shapes in the order of its leaves.
 pub struct AnalyticBvh {
@@ -57,18 +57,19 @@ impl Visit<'_> {
 
 impl<L: Lanes> Leaves<L> for Visit<'_> {
     #[inline]
-    fn nearest(&mut self, _: L, leaf: Leaf, t_max: f32) -> f32 {
+    fn nearest(&mut self, _: L, _: &Slabs, leaf: Leaf, t_max: f32) -> f32 {
         let first = |a: (f32, u32), b: (f32, u32)| if b < a { b } else { a };
         self.nearest = self.hits(leaf, t_max).chain(self.nearest).reduce(first);
         self.nearest.map_or(t_max, |(t, _)| t)
     }
 
-    /// Shapes are few: they stay in the cache.
     #[inline]
-    fn prefetch(&self, _: Leaf) {}
+    fn address(&self, leaf: Leaf) -> *const u8 {
+        self.order.as_ptr().wrapping_add(leaf.first as usize).cast()
+    }
 
     #[inline]
-    fn any(&mut self, _: L, leaf: Leaf) -> bool {
-        self.hits(leaf, self.ray.t_max).next().is_some()
+    fn any(&mut self, _: L, _: &Slabs, leaf: Leaf, t_max: f32) -> bool {
+        self.hits(leaf, t_max).next().is_some()
     }
 }

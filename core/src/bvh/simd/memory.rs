@@ -10,7 +10,7 @@ pub struct StackMemory<T: Copy, const N: usize>([MaybeUninit<T>; N]);
 impl<T: Copy, const N: usize> StackMemory<T, N> {
     /// Room with nothing in it.
     #[inline(always)]
-    pub fn new() -> Self {
+    pub const fn new() -> Self {
         Self([const { MaybeUninit::uninit() }; N])
     }
 
@@ -36,12 +36,47 @@ impl<T: Copy, const N: usize> Stack<'_, T, N> {
         self.len += 1;
     }
 
+    /// Puts the first `count` of `items` on top, in their order. Panics when there is no room for all eight.
+    #[inline(always)]
+    pub fn push_first(&mut self, items: [T; 8], count: usize) {
+        for (room, item) in self.items[self.len..self.len + 8].iter_mut().zip(items) {
+            room.write(item);
+        }
+        self.len += count.min(8);
+    }
+
+    /// Puts `item` on top, or not, without a branch. Panics when full.
+    #[inline(always)]
+    pub fn push_if(&mut self, item: T, really: bool) {
+        self.items[self.len].write(item);
+        self.len += usize::from(really);
+    }
+
+    /// Keeps the items that `keep` wants, without a branch for each.
+    #[inline(always)]
+    pub fn retain(&mut self, keep: impl Fn(T) -> bool) {
+        let mut kept = 0;
+        for at in 0..self.len {
+            // SAFETY: the item is below `len`, so it was written.
+            let item = unsafe { self.items[at].assume_init() };
+            self.items[kept].write(item);
+            kept += usize::from(keep(item));
+        }
+        self.len = kept;
+    }
+
     /// Takes the top, if any.
     #[inline(always)]
     pub fn pop(&mut self) -> Option<T> {
         self.len = self.len.checked_sub(1)?;
         // SAFETY: the item is below the old `len`, so it was written.
         Some(unsafe { self.items[self.len].assume_init() })
+    }
+
+    /// Drops everything.
+    #[inline(always)]
+    pub fn clear(&mut self) {
+        self.len = 0;
     }
 
     /// How many there are.
@@ -62,13 +97,18 @@ impl<T: Copy, const N: usize> Stack<'_, T, N> {
 /// Asks for the cache lines of an item that is soon read. Any index is fine, though a wrong one is of no use.
 #[inline(always)]
 pub fn prefetch<T>(items: &[T], index: usize) {
+    prefetch_lines(items.as_ptr().wrapping_add(index).cast());
+}
+
+/// Asks for four cache lines from `address` on, which may be any at all.
+#[inline(always)]
+pub fn prefetch_lines(address: *const u8) {
     #[cfg(target_arch = "x86_64")]
-    for line in 0..size_of::<T>().div_ceil(64) {
+    for line in 0..4 {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        let address = items.as_ptr().wrapping_add(index).cast::<i8>();
         // SAFETY: SSE is part of x86-64, and a prefetch of any address at all has no effect but on caches.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(address.wrapping_add(64 * line)) };
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address.wrapping_add(64 * line).cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]
-    let _ = (items, index);
+    let _ = address;
 }

@@ -7,18 +7,15 @@
 //! A [`Lanes`] value is a token: whoever holds one has proved that the processor has the instructions. Code that uses it
 //! is generic, `#[inline(always)]`, and entered through [`Lanes::run`], whose body is compiled with those instructions.
 
-#[cfg(target_arch = "x86_64")]
-mod avx2;
-#[cfg(target_arch = "x86_64")]
-mod avx512;
 mod memory;
 mod portable;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
 #[cfg(target_arch = "x86_64")]
-pub use avx2::Avx2;
-#[cfg(target_arch = "x86_64")]
-pub use avx512::Avx512;
-pub(super) use memory::{StackMemory, prefetch};
+pub use x86::{Avx2, Avx512};
+
+pub(super) use memory::{Stack, StackMemory, prefetch, prefetch_lines};
 pub use portable::Portable;
 
 /// `N` lanes of f32.
@@ -56,6 +53,11 @@ pub trait Lanes: Copy + Send + Sync + 'static {
     type X8: Floats<8, Token = Self>;
     /// Four lanes: the triangles of a block.
     type X4: Floats<4, Token = Self>;
+
+    /// The children whose entry `near` is at most `far`, the farthest first, and how many they are; what follows them is
+    /// meaningless. Each is its entry's bits, the last three of them cleared and used otherwise, above the child. Entries
+    /// are not negative. The order of equal or nearly equal entries depends on the path.
+    fn far_to_near(self, near: Self::X8, far: Self::X8, children: &[u32; 8]) -> ([u64; 8], usize);
 
     /// Runs `kernel` compiled with the instructions of this path.
     fn run<K: Kernel>(self, kernel: K) -> K::Output;

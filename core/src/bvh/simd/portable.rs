@@ -76,6 +76,25 @@ impl Lanes for Portable {
     type X4 = Array<4>;
 
     #[inline(always)]
+    fn far_to_near(self, near: Self::X8, far: Self::X8, children: &[u32; 8]) -> ([u64; 8], usize) {
+        let mut entries = [0; 8];
+        let mut count = 0;
+        for (slot, child) in children.iter().enumerate() {
+            if near.0[slot] <= far.0[slot] {
+                let entry = u64::from(near.0[slot].to_bits() & !7) << 32 | u64::from(*child);
+                let mut at = count;
+                while at > 0 && entries[at - 1] < entry {
+                    entries[at] = entries[at - 1];
+                    at -= 1;
+                }
+                entries[at] = entry;
+                count += 1;
+            }
+        }
+        (entries, count)
+    }
+
+    #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> K::Output {
         kernel.run(self)
     }

@@ -308,7 +308,7 @@ mod tests {
         let file = file.unwrap();
         assert_eq!(file.libraries, [("my file.mtl".to_owned(), 1)]);
         assert_eq!((file.uses[0].name.as_str(), file.uses[1].first_triangle), ("red one", 1));
-        assert_eq!(file.mesh(&[1..2]).triangles, [[0, 1, 2]]);
+        assert_eq!(file.mesh(std::slice::from_ref(&(1..2))).triangles, [[0, 1, 2]]);
     }
 
     #[test]

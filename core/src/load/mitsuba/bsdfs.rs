@@ -77,7 +77,7 @@ impl Loader<'_> {
         let properties = Properties::new(document, id, &mut self.assembly.notes)?;
         let bsdf = match properties.plugin.build {
             Build::Bsdf(build) => build(self, &properties)?,
-            ref other => return Err(super::misplaced(&properties, other)),
+            _ => return Err(super::misplaced(&properties)),
         };
         self.made.insert(id);
         self.bsdfs.insert(id, bsdf);

@@ -24,11 +24,17 @@ const RR_DEPTH: super::Parameter =
 const HIDE_EMITTERS: super::Parameter =
     parameter("hide_emitters", Takes::Boolean(false), "Whether the camera itself sees no emitters.");
 
+const SAMPLES_PER_PASS: super::Parameter =
+    unmodelled("samples_per_pass", Takes::Integer(None), "tilecast plans passes itself");
+const BLOCK_SIZE: super::Parameter =
+    unmodelled("block_size", Takes::Integer(None), "the size of tiles is a setting of the renderer, not of the scene");
+const TIMEOUT: super::Parameter = unmodelled("timeout", Takes::Float(None), "all samples are taken");
+
 pub(crate) const PLUGINS: &[Plugin] = &[
     Plugin {
         name: "path",
         doc: "All light transport, by path tracing.",
-        parameters: &[MAX_DEPTH, RR_DEPTH, HIDE_EMITTERS],
+        parameters: &[MAX_DEPTH, RR_DEPTH, HIDE_EMITTERS, SAMPLES_PER_PASS, BLOCK_SIZE, TIMEOUT],
         build: Build::Integrator(path),
     },
     Plugin {
@@ -36,6 +42,9 @@ pub(crate) const PLUGINS: &[Plugin] = &[
         doc: "Emission and light scattered once.",
         parameters: &[
             HIDE_EMITTERS,
+            SAMPLES_PER_PASS,
+            BLOCK_SIZE,
+            TIMEOUT,
             unmodelled(
                 "shading_samples",
                 Takes::Integer(Some(1)),
@@ -81,7 +90,7 @@ impl Loader<'_> {
         let properties = Properties::new(document, id, &mut self.assembly.notes)?;
         match properties.plugin.build {
             Build::Integrator(build) => build(self, &properties),
-            ref other => Err(super::misplaced(&properties, other)),
+            _ => Err(super::misplaced(&properties)),
         }
     }
 }

@@ -6,6 +6,7 @@
 mod bsdfs;
 mod cie;
 mod document;
+mod element;
 mod emitters;
 mod integrator;
 mod materials;
@@ -15,8 +16,6 @@ mod sensor_film;
 mod shapes;
 pub(crate) mod spectrum;
 mod substitute;
-#[cfg(test)]
-mod tests;
 mod textures;
 mod transform;
 mod upgrade;
@@ -32,7 +31,6 @@ use super::folder::{self, Folder};
 use super::{LoadOptions, Loaded};
 use crate::scene::{BsdfId, TextureId};
 use document::{Document, ObjectId, ROOT, Span, Value};
-use plugins::Build;
 use properties::Properties;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -134,7 +132,7 @@ impl Loader<'_> {
 }
 
 /// A mistake in the table of plugins: a row whose tag is another than where it was found.
-fn misplaced(properties: &Properties, _build: &Build) -> LoadError {
+fn misplaced(properties: &Properties) -> LoadError {
     let message = format!("{} cannot stand here", properties.object.describe());
     properties.error(&properties.object.span, message)
 }

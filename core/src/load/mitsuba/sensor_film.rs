@@ -124,7 +124,7 @@ impl Loader<'_> {
         let properties = Properties::new(document, id, &mut self.assembly.notes)?;
         let sensor = match properties.plugin.build {
             Build::Sensor(build) => build(self, &properties)?,
-            ref other => return Err(super::misplaced(&properties, other)),
+            _ => return Err(super::misplaced(&properties)),
         };
         let film = self.film_of(properties.child(Tag::Film)?)?;
         let spp = match properties.child(Tag::Sampler)? {
@@ -142,7 +142,7 @@ impl Loader<'_> {
         let properties = Properties::new(self.document, film, &mut self.assembly.notes)?;
         match properties.plugin.build {
             Build::Film(build) => build(self, &properties),
-            ref other => Err(super::misplaced(&properties, other)),
+            _ => Err(super::misplaced(&properties)),
         }
     }
 
@@ -151,7 +151,7 @@ impl Loader<'_> {
         let properties = Properties::new(document, sampler, &mut self.assembly.notes)?;
         match properties.plugin.build {
             Build::Sampler(build) => build(self, &properties),
-            ref other => Err(super::misplaced(&properties, other)),
+            _ => Err(super::misplaced(&properties)),
         }
     }
 }
@@ -246,7 +246,7 @@ fn hdrfilm(loader: &mut Loader, properties: &Properties) -> Result<Film> {
             let properties = Properties::new(loader.document, id, &mut loader.assembly.notes)?;
             match properties.plugin.build {
                 Build::Rfilter(build) => build(&properties)?,
-                ref other => return Err(super::misplaced(&properties, other)),
+                _ => return Err(super::misplaced(&properties)),
             }
         }
         None => Filter::Gaussian { stddev: 0.5 },

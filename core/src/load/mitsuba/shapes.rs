@@ -97,7 +97,7 @@ impl Loader<'_> {
         self.made.insert(id);
         match properties.plugin.build {
             Build::Shape(build) => build(self, &properties),
-            ref other => Err(super::misplaced(&properties, other)),
+            _ => Err(super::misplaced(&properties)),
         }
     }
 

@@ -64,7 +64,7 @@ impl Loader<'_> {
         let properties = Properties::new(document, id, &mut self.assembly.notes)?;
         let texture = match properties.plugin.build {
             Build::Texture(build) => build(self, &properties, meaning)?,
-            ref other => return Err(super::misplaced(&properties, other)),
+            _ => return Err(super::misplaced(&properties)),
         };
         self.made.insert(id);
         self.textures.insert(key, texture);
@@ -160,8 +160,12 @@ fn bitmap(loader: &mut Loader, properties: &Properties, meaning: Meaning) -> Res
 }
 
 fn checkerboard(loader: &mut Loader, properties: &Properties, meaning: Meaning) -> Result<TextureId> {
-    let color0 = loader.texture_as(properties, "color0", meaning)?;
-    let color1 = loader.texture_as(properties, "color1", meaning)?;
+    let mut color0 = loader.texture_as(properties, "color0", meaning)?;
+    let mut color1 = loader.texture_as(properties, "color1", meaning)?;
+    if meaning == Meaning::Scalar {
+        // Mitsuba 3.9 has the two the other way round where it wants one number.
+        std::mem::swap(&mut color0, &mut color1);
+    }
     let to_uv = to_uv(properties)?;
     Ok(loader.assembly.texture(Texture::Checkerboard { color0, color1, to_uv }))
 }

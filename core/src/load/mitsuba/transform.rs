@@ -1,11 +1,9 @@
 //! The tags inside `<transform>`, composed in f64 in Mitsuba's order: what is written last acts last.
 
+use super::element::{Attribute, Element, Wrong};
 use super::values;
-use super::xml::{Attribute, Element};
-use glam::{DMat3, DMat4, DVec3, DVec4};
 
-/// What is wrong, and which attribute (or the tag itself) is to blame.
-pub(crate) type Wrong<'a> = (Option<&'a Attribute>, String);
+use glam::{DMat3, DMat4, DVec3, DVec4};
 
 /// The matrix of one tag.
 ///

@@ -3,6 +3,7 @@
 //! Knows Mitsuba's grammar, none of its plugins. Reads no file but includes.
 
 use super::document::{Document, NESTING_MAX, Object, ObjectId, Property, ROOT, SourceFile, Span, TAGS, Tag, Value};
+use super::element::{Attribute, Element, Wrong, scalar};
 use super::substitute::Definitions;
 use super::{transform, upgrade, values};
 use crate::load::error::{LoadError, Place, Result, did_you_mean};
@@ -35,42 +36,6 @@ const PROPERTY_TAGS: [&str; 15] = [
     "path",
     "scene",
 ];
-
-/// An opening tag with its values filled in.
-#[derive(Debug)]
-pub(crate) struct Element {
-    pub tag: String,
-    pub span: Span,
-    pub attributes: Vec<Attribute>,
-}
-
-#[derive(Debug)]
-pub(crate) struct Attribute {
-    pub name: String,
-    pub value: String,
-    pub span: Span,
-}
-
-impl Element {
-    pub fn get(&self, name: &str) -> Option<&Attribute> {
-        self.attributes.iter().find(|attribute| attribute.name == name)
-    }
-
-    /// Whether all of `required` and nothing but these and `optional` is there.
-    pub fn check(&self, required: &[&str], optional: &[&str]) -> std::result::Result<(), transform::Wrong<'_>> {
-        let known = || required.iter().chain(optional).copied();
-        if let Some(stray) = self.attributes.iter().find(|a| !known().any(|name| name == a.name)) {
-            let hint = did_you_mean(&stray.name, known());
-            let list: Vec<&str> = known().collect();
-            let message = format!("<{}> has no attribute '{}'{hint}; it has {}", self.tag, stray.name, list.join(", "));
-            return Err((Some(stray), message));
-        }
-        match required.iter().find(|name| self.get(name).is_none()) {
-            Some(name) => Err((None, format!("<{}> needs the attribute '{name}'", self.tag))),
-            None => Ok(()),
-        }
-    }
-}
 
 /// Reads the scene file at `path` (within the folder), whose bytes are given, and all it includes.
 ///
@@ -182,7 +147,7 @@ impl Reader<'_> {
         Ok(Element { tag, span, attributes })
     }
 
-    fn wrong(&self, element: &Element, (attribute, message): transform::Wrong) -> LoadError {
+    fn wrong(&self, element: &Element, (attribute, message): Wrong) -> LoadError {
         self.document.error(attribute.map_or(&element.span, |a| &a.span), message)
     }
 
@@ -408,16 +373,6 @@ impl Reader<'_> {
         self.document.search.insert(0, path);
         Ok(())
     }
-}
-
-/// A property with a name and a value.
-fn scalar(
-    element: &Element,
-    read: impl Fn(&str) -> std::result::Result<Value, String>,
-) -> std::result::Result<Value, transform::Wrong<'_>> {
-    element.check(&["name", "value"], &[])?;
-    let value = element.get("value");
-    read(value.map_or("", |a| &a.value)).map_err(|message| (value, message))
 }
 
 fn place_of(name: &str, text: &str, at: roxmltree::TextPos) -> Place {

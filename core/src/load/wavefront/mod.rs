@@ -138,7 +138,7 @@ impl Loader {
 
     fn library(&mut self, path: &Path, text: &str) -> Result<()> {
         let from = path.parent().unwrap_or(Path::new(""));
-        let (materials, unmodelled) = mtl::parse(&self.assembly.folder.name_of(path), from, text)?;
+        let mtl::Library { materials, unmodelled } = mtl::parse(&self.assembly.folder.name_of(path), from, text)?;
         for (statement, place) in unmodelled {
             self.assembly.note(Some(place), format!("'{statement}' of materials has no effect here"));
         }

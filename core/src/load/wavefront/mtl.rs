@@ -93,14 +93,20 @@ impl Material {
     }
 }
 
-/// The materials of a file; `name` is for messages, `from` its folder within the scene's. Also the statements without effect
-/// here, each once, with their places.
+/// What an MTL file has.
+#[derive(Debug, Default)]
+pub(crate) struct Library {
+    pub materials: Vec<Material>,
+    /// Statements without effect here, each once, with its first place.
+    pub unmodelled: Vec<(String, Place)>,
+}
+
+/// Reads a file; `name` is for messages, `from` its folder within the scene's.
 ///
 /// # Errors
 /// The first line that cannot be read.
-pub(crate) fn parse(name: &str, from: &std::path::Path, text: &str) -> Result<(Vec<Material>, Vec<(String, Place)>)> {
-    let mut materials: Vec<Material> = Vec::new();
-    let mut unmodelled: Vec<(String, Place)> = Vec::new();
+pub(crate) fn parse(name: &str, from: &std::path::Path, text: &str) -> Result<Library> {
+    let Library { mut materials, mut unmodelled } = Library::default();
     for (i, line) in text.lines().enumerate() {
         let place = || Place::on_line(name, i + 1, line);
         let statement = line.split('#').next().unwrap_or_default().trim();
@@ -128,7 +134,7 @@ pub(crate) fn parse(name: &str, from: &std::path::Path, text: &str) -> Result<(V
         };
         material.set(keyword, rest, place, from).map_err(|message| LoadError::at(place(), message))?;
     }
-    Ok((materials, unmodelled))
+    Ok(Library { materials, unmodelled })
 }
 
 impl Material {
@@ -232,7 +238,7 @@ mod tests {
     use std::path::Path;
 
     fn materials(text: &str) -> Vec<Material> {
-        parse("a.mtl", Path::new(""), text).unwrap().0
+        parse("a.mtl", Path::new(""), text).unwrap().materials
     }
 
     #[test]
@@ -257,7 +263,8 @@ mod tests {
 
     #[test]
     fn what_has_no_effect_is_listed_once() {
-        let (_, unmodelled) = parse("a.mtl", Path::new(""), "newmtl a\nKa 1 1 1\nPr 0.5\nKa 0 0 0\n").unwrap();
+        let Library { unmodelled, .. } =
+            parse("a.mtl", Path::new(""), "newmtl a\nKa 1 1 1\nPr 0.5\nKa 0 0 0\n").unwrap();
         assert_eq!(unmodelled.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["Ka", "Pr"]);
     }
 
