@@ -7,7 +7,7 @@ use clap::Parser;
 use std::path::PathBuf;
 use tilecast_bench::plot::{Curve, log_log};
 use tilecast_bench::{compile, means, mse, render};
-use tilecast_core::settings::{SamplerKind, Settings, Strategy};
+use tilecast_core::settings::{Film, Filter, SamplerKind, Settings, Strategy, Window};
 
 const STRATEGIES: [(&str, Strategy); 5] = [
     ("uniform", Strategy::Uniform),
@@ -34,11 +34,24 @@ struct Arguments {
     /// Images averaged for each error
     #[arg(long, default_value_t = 4)]
     seeds: u64,
+    /// Pixels of the image, about, in the scene's own aspect
+    #[arg(long, default_value_t = 1024)]
+    pixels: u32,
+}
+
+/// The same picture with another number of pixels, each the plain mean over its square.
+fn with_pixels(settings: Settings, pixels: u32) -> Settings {
+    let Film { width, height, .. } = settings.film;
+    let scale = (f64::from(pixels) / (f64::from(width) * f64::from(height))).sqrt();
+    let [width, height] = [width, height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+    let crop = Window { x0: 0, y0: 0, x1: width, y1: height };
+    Settings { film: Film { width, height, crop, filter: Filter::Box }, ..settings }
 }
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let (world, settings) = compile(&arguments.scene, &[])?;
+    let settings = with_pixels(settings, arguments.pixels);
     let best = Settings { spp: arguments.reference_spp, strategy: Strategy::Mis, seed: 1 << 32, ..settings.clone() };
     let reference = means(&render(&world, &Settings { sampler: SamplerKind::Sobol, ..best })?);
 
