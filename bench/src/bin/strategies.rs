@@ -29,7 +29,7 @@ struct Arguments {
     #[arg(long, default_value_t = 1024)]
     spp: u32,
     /// Samples a pixel of the reference, by `mis` with Sobol' points
-    #[arg(long, default_value_t = 65536)]
+    #[arg(long, default_value_t = 32768)]
     reference_spp: u32,
     /// Images averaged for each error
     #[arg(long, default_value_t = 4)]
@@ -50,6 +50,7 @@ fn with_pixels(settings: Settings, pixels: u32) -> Settings {
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
+    std::fs::create_dir_all(&arguments.out).with_context(|| format!("making {}", arguments.out.display()))?;
     let (world, settings) = compile(&arguments.scene, &[])?;
     let settings = with_pixels(settings, arguments.pixels);
     let best = Settings { spp: arguments.reference_spp, strategy: Strategy::Mis, seed: 1 << 32, ..settings.clone() };
