@@ -73,7 +73,7 @@ fn sort_attributes(file: &mut (impl Read + Write + Seek)) -> anyhow::Result<()> 
     const MAGIC_AND_VERSION: u64 = 8;
     let mut header = Vec::new();
     file.seek(SeekFrom::Start(MAGIC_AND_VERSION))?;
-    file.by_ref().take(HEADER_BYTES_MAX).read_to_end(&mut header)?;
+    Read::by_ref(file).take(HEADER_BYTES_MAX).read_to_end(&mut header)?;
     let (mut attributes, mut rest) = (Vec::new(), header.as_slice());
     // An attribute is name, 0, type, 0, length of the value in four bytes, value; an empty name ends them.
     while rest.first().is_some_and(|&byte| byte != 0) {

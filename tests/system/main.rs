@@ -1,1 +1,16 @@
-fn main() {}
+//! The whole system, as people meet it: the real program, its real processes, files in temporary folders, ports that the
+//! system chooses. Nothing sleeps to wait for something else: what is waited for is looked at until it is there, or a deadline
+//! has passed.
+//!
+//! One binary, so that the program is linked once. Its modules are the guide:
+
+/// Files, flags and peers that are wrong: each a clear message, the right exit code, and nothing left behind.
+mod bad_input;
+/// What the program says and how it ends: JSON, exit codes, signals, jobs and workers from outside.
+mod cli;
+/// One image, whatever computed it: threads, processes, tiles, instruction sets, losses.
+mod digest;
+/// What is in the written files.
+mod exr;
+/// Processes and folders that are gone when a test is, however it ends.
+mod harness;

@@ -1,5 +1,7 @@
 //! Loading scenes through the public API: each test writes the files it needs into a folder of its own.
 
+#![allow(clippy::unwrap_used)] // in helpers too: a test that cannot write its files has failed
+
 mod faults;
 mod hostile;
 mod mitsuba;

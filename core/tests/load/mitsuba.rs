@@ -383,6 +383,18 @@ fn only_what_is_used_is_loaded_and_the_rest_is_noted() {
 }
 
 #[test]
+fn parameters_without_effect_are_noted_unless_they_say_nothing() {
+    let loaded = scene(
+        "<sensor type='perspective'>\n<float name='focus_distance' value='6'/><film type='hdrfilm'>\
+         <string name='pixel_format' value='rgb'/>\n<string name='component_format' value='float32'/></film></sensor>",
+    );
+    let notes: Vec<String> = loaded.notes.iter().map(ToString::to_string).collect();
+    assert!(notes.iter().any(|note| note.contains("a.xml:3: 'focus_distance' of sensor")), "{notes:?}");
+    assert!(notes.iter().any(|note| note.contains("a.xml:4: 'component_format' of film")), "{notes:?}");
+    assert!(!notes.iter().any(|note| note.contains("pixel_format")), "{notes:?}");
+}
+
+#[test]
 fn degenerate_triangles_are_counted_in_a_note() {
     let xml = "<scene version='3.0.0'><shape type='obj'><string name='filename' value='a.obj'/></shape></scene>";
     let obj = format!("{TRIANGLE_OBJ}f 1 1 2\nf 1 2\n");

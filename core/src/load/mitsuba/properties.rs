@@ -15,7 +15,7 @@ pub(crate) struct Properties<'a> {
 }
 
 impl<'a> Properties<'a> {
-    /// Finds the plugin and checks every property. What is read without effect is noted.
+    /// Finds the plugin and checks every property. What is read without effect is noted, unless it is the default.
     ///
     /// # Errors
     /// The first plugin, parameter or type that does not exist.
@@ -25,7 +25,7 @@ impl<'a> Properties<'a> {
         let properties = Self { document, id, object, plugin };
         for property in &object.properties {
             let parameter = properties.check(property)?;
-            if !parameter.modelled {
+            if !parameter.modelled && !parameter.takes.is_default(&property.value) {
                 let name = property.name.as_deref().unwrap_or_default();
                 let text = format!("'{name}' of {} has no effect here: {}", object.describe(), parameter.doc);
                 notes.push(Note { place: Some(document.place(&property.span)), text });
@@ -285,6 +285,19 @@ impl Takes {
             Takes::Texture(..) => "an rgb, spectrum, float or texture".into(),
             Takes::Ior(_) => "a float, or a string with the name of a material".into(),
             Takes::Child(tag) => format!("a {}", tag.name()),
+        }
+    }
+
+    /// Whether a value is the default, so that it says nothing.
+    fn is_default(self, value: &Value) -> bool {
+        match (self, value) {
+            (Takes::Float(Some(default)), Value::Float(x)) => *x == default,
+            (Takes::Float(Some(default)), Value::Integer(i)) => *i as f64 == default,
+            (Takes::Integer(Some(default)), Value::Integer(i)) => *i == default,
+            (Takes::Boolean(default), Value::Boolean(b)) => *b == default,
+            (Takes::Text(Some(default)), Value::Text(text)) => text == default,
+            (Takes::Choice(words), Value::Text(text)) => words.first() == Some(&text.as_str()),
+            _ => false,
         }
     }
 

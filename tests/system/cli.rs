@@ -1,0 +1,167 @@
+//! What the program says and how it ends.
+
+use crate::harness::{Folder, Running, SMALL, children, coordinator, is_alive, poll, scene, signal};
+
+/// Would take hours: only an end from outside ends it.
+const ENDLESS: [&str; 4] = ["--spp", "10000000", "-o", "never.exr"];
+
+fn endless(folder: &Folder, more: &[&str]) -> Running {
+    let scene = scene("cornell-box/scene.xml");
+    folder.start(["render", &scene, "--json"].iter().chain(&ENDLESS).chain(more))
+}
+
+#[test]
+fn json_is_one_object_a_line_and_ends_with_the_digest() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let outcome = folder.tilecast(["render", &scene, "--json"].iter().chain(&SMALL));
+    assert_eq!(outcome.stderr, "");
+    let events = outcome.events();
+    let started = events.iter().find(|event| event["event"] == "started").expect("a started event");
+    assert_eq!((started["width"].as_u64(), started["height"].as_u64()), (Some(48), Some(40)));
+    let finished = outcome.finished();
+    assert_eq!(finished["digest"].as_str().map(str::len), Some(64));
+    assert_eq!(finished["spp"], 6);
+    assert!(finished["seconds"].as_f64() > Some(0.0));
+    assert!(finished["output"].as_str().unwrap().ends_with("scene.exr"));
+    assert_eq!(folder.names(), ["scene.exr"]);
+}
+
+#[test]
+fn people_get_lines_on_stderr_and_quiet_ones_nothing() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let loud = folder.tilecast(["render", &scene].iter().chain(&SMALL));
+    assert_eq!((loud.code, loud.stdout.as_str()), (Some(0), ""));
+    assert!(loud.stderr.contains("wrote scene.exr") && loud.stderr.contains("digest"), "{}", loud.stderr);
+    let quiet = folder.tilecast(["render", &scene, "--quiet"].iter().chain(&SMALL));
+    assert_eq!((quiet.code, quiet.stdout.as_str(), quiet.stderr.as_str()), (Some(0), "", ""));
+}
+
+#[test]
+fn help_and_version_are_no_errors() {
+    let folder = Folder::new();
+    for command in [vec![], vec!["render"], vec!["coordinator"], vec!["worker"], vec!["submit"], vec!["info"]] {
+        let outcome = folder.tilecast(command.iter().chain(&["--help"]));
+        assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+        assert!(outcome.stdout.contains("Usage: tilecast"), "{}", outcome.stdout);
+    }
+    assert_eq!(folder.tilecast(["--version"]).code, Some(0));
+}
+
+#[test]
+fn info_counts_what_is_there() {
+    let folder = Folder::new();
+    let outcome = folder.tilecast(["info", &scene("cornell-box/scene.xml"), "--json"]);
+    let facts = &outcome.events()[0];
+    assert_eq!(facts["triangles"], 32, "walls 10, blocks 20, lamp 2");
+    assert_eq!(facts["lights"]["area"], 1);
+    assert_eq!(facts["settings"]["spp"], 64);
+    let outcome = folder.tilecast(["info", &scene("cornell-box/scene.xml"), "-D", "spp=3"]);
+    assert!(outcome.stdout.contains("32 triangles") && outcome.stdout.contains("3 a pixel"), "{}", outcome.stdout);
+}
+
+#[test]
+fn a_signal_ends_a_render_without_a_file() {
+    for name in ["INT", "TERM"] {
+        let folder = Folder::new();
+        let mut render = endless(&folder, &["--threads", "2"]);
+        render.event("progress");
+        render.signal(name);
+        let outcome = render.end();
+        assert_eq!(outcome.code, Some(1), "{outcome:?}");
+        assert!(outcome.stderr.contains("nothing was written"), "{}", outcome.stderr);
+        assert_eq!(folder.names(), [""; 0]);
+    }
+}
+
+/// The worker processes of a render, once there are `count`.
+fn workers(render: &Running, count: usize) -> Vec<u32> {
+    poll("worker processes", || Some(children(render.pid())).filter(|pids| pids.len() == count))
+}
+
+#[test]
+fn a_signal_leaves_no_worker_process() {
+    for name in ["INT", "KILL"] {
+        let folder = Folder::new();
+        let mut render = endless(&folder, &["--workers", "2", "--threads", "1"]);
+        render.event("progress");
+        let pids = workers(&render, 2);
+        render.signal(name);
+        let outcome = render.end();
+        assert_eq!(outcome.code, if name == "INT" { Some(1) } else { None }, "{outcome:?}");
+        if name == "INT" {
+            assert!(!pids.iter().any(|&pid| is_alive(pid)), "waited for before the end");
+        }
+        poll("the end of the workers", || (!pids.iter().any(|&pid| is_alive(pid))).then_some(()));
+        assert_eq!(folder.names(), [""; 0]);
+    }
+}
+
+#[test]
+fn a_worker_process_that_dies_is_replaced() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let long = ["--size", "64x64", "--spp", "192"];
+    let mut render = folder.start(["render", &scene, "--json", "--workers", "1", "--threads", "1"].iter().chain(&long));
+    render.event("started");
+    let pid = workers(&render, 1)[0];
+    signal(pid, "KILL");
+    let warning = render.event("warning");
+    assert!(warning["text"].as_str().unwrap().contains(&format!("worker process {pid} died")), "{warning}");
+    assert_eq!(render.end().finished()["digest"], folder.render(&scene, long)["digest"]);
+}
+
+#[test]
+fn a_render_whose_workers_all_die_says_so() {
+    let folder = Folder::new();
+    let mut render = endless(&folder, &["--workers", "1", "--threads", "1"]);
+    render.event("started");
+    let mut killed = Vec::new();
+    // The first and three more.
+    for _ in 0..4 {
+        let pid = poll("a new worker process", || {
+            children(render.pid()).into_iter().find(|pid| !killed.contains(pid) && is_alive(*pid))
+        });
+        signal(pid, "KILL");
+        killed.push(pid);
+    }
+    let outcome = render.end();
+    assert_eq!(outcome.code, Some(1), "{outcome:?}");
+    assert!(outcome.stderr.contains("every worker process has died"), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("signal: 9"), "{}", outcome.stderr);
+    assert_eq!(folder.names(), [""; 0]);
+}
+
+#[test]
+fn a_job_can_be_seen_and_cancelled() {
+    let folder = Folder::new();
+    let cluster = coordinator(&folder);
+    let submit = cluster.submit(&folder, &[&[scene("cornell-box/scene.xml").as_str()], ENDLESS.as_slice()].concat());
+    let job = poll("the job", || cluster.status(&folder, "job").pop());
+    assert_eq!((job["name"].as_str(), job["state"].as_str()), (Some("scene.xml"), Some("queued")), "{job}");
+    let number = job["job"].to_string();
+    let cancelled = folder.tilecast(["cancel", "--connect", &cluster.address, &number]);
+    assert_eq!(cancelled.stdout, format!("job {number} is cancelled\n"));
+    let outcome = submit.end();
+    assert_eq!(outcome.code, Some(1), "{outcome:?}");
+    assert!(outcome.stderr.contains("cancelled"), "{}", outcome.stderr);
+    assert_eq!(folder.names(), [""; 0]);
+    let unknown = folder.tilecast(["cancel", "--connect", &cluster.address, "12345"]);
+    assert_eq!(unknown.code, Some(1), "{unknown:?}");
+}
+
+#[test]
+fn a_submit_that_is_stopped_cancels_its_job() {
+    let folder = Folder::new();
+    let cluster = coordinator(&folder);
+    let _worker = cluster.worker(&folder);
+    let mut submit =
+        cluster.submit(&folder, &[&[scene("cornell-box/scene.xml").as_str()], ENDLESS.as_slice()].concat());
+    submit.event("progress");
+    submit.signal("INT");
+    assert_eq!(submit.end().code, Some(1));
+    assert_eq!(cluster.status(&folder, "job")[0]["state"], "cancelled");
+    cluster.process.signal("INT");
+    assert_eq!(cluster.process.end().code, Some(0), "a coordinator is meant to be stopped so");
+}
