@@ -93,7 +93,10 @@ fn a_preview_is_a_picture_of_the_same_size() {
     assert_eq!(folder.names(), ["a.exr", "a.png"]);
     let picture = image::open(folder.path("a.png")).unwrap().into_rgb8();
     assert_eq!(picture.dimensions(), (48, 40));
-    // The left wall is red and the right one green.
-    let (left, right) = (picture.get_pixel(2, 20).0, picture.get_pixel(45, 20).0);
-    assert!(left[0] > 2 * left[1] && right[1] > 2 * right[0], "{left:?} {right:?}");
+    // The left wall is red and the right one green; the picture is wider than the box, which begins at column 4.
+    let sum = |x0: u32, channel: usize| {
+        let columns = (x0..x0 + 4).flat_map(|x| (10..30).map(move |y| (x, y)));
+        columns.map(|(x, y)| u32::from(picture.get_pixel(x, y).0[channel])).sum::<u32>()
+    };
+    assert!(sum(6, 0) > 2 * sum(6, 1) && sum(38, 1) > sum(38, 0));
 }
