@@ -1,8 +1,8 @@
-"""Error against time of Mitsuba 3 on a scene, to stand beside `tilecast bench`.
+"""Error against time of Mitsuba 3 on a scene, and of tilecast in turn with it.
 
     mitsuba_time.py normalise SCENE.xml OUT.xml [--pixels 30000] [--max-depth N]
     mitsuba_time.py reference SCENE.xml REF.exr --spp 16384
-    mitsuba_time.py curve     SCENE.xml REF.exr --spp 4,16,64,256 [--variant llvm_ad_rgb] [--threads N]
+    mitsuba_time.py curve     SCENE.xml REF.exr --spp 4,16,64,256 [--variant llvm_ad_rgb] [--threads N] [--tilecast BIN]
 
 `normalise` writes a copy of a scene with what a comparison must fix: film size, box filter (one sample, one pixel, in both
 renderers), independent sampler, float32 RGB, and the depth if asked. Give both renderers that copy.
@@ -14,10 +14,14 @@ mean. CPU seconds, of all threads together, are the steadier figure on a machine
 relmse = mean of (x - r)^2 / (r^2 + 0.01 mean(r)^2) over pixels and channels.
 """
 import argparse
+import json
 import math
 import os
+import resource
 import statistics
+import subprocess
 import sys
+import tempfile
 import time
 import xml.etree.ElementTree as ET
 
@@ -95,6 +99,38 @@ def reference(options):
           f'{relmse(mean + np.sqrt(variance), mean):.3g}')
 
 
+def median_row(name, options, spp, truth, render):
+    """One CSV row: medians of the times and means of the errors over SEEDS renders, `render(seed)` -> (s, cpu s, image)."""
+    seconds, cpu_seconds, errors = [], [], []
+    for seed in range(1, SEEDS + 1):
+        wall, cpu, image = render(SEEDS * spp + seed)
+        seconds.append(wall)
+        cpu_seconds.append(cpu)
+        errors.append((np.mean((image - truth) ** 2), relmse(image, truth)))
+    mse, relative = np.mean(errors, axis=0)
+    times = f'{statistics.median(seconds):.4f},{statistics.median(cpu_seconds):.4f}'
+    print(f'{name},{options.threads},{spp},{times},{mse:.6g},{relative:.6g}', flush=True)
+
+
+def by_mitsuba(mitsuba, scene, spp, seed):
+    start, cpu_start = time.perf_counter(), time.process_time()
+    image = oracle.render(mitsuba, scene, spp, seed)
+    return time.perf_counter() - start, time.process_time() - cpu_start, image
+
+
+def by_tilecast(mitsuba, options, spp, seed):
+    """Seconds are those from submission to the finished film, as --json tells; CPU seconds are of the whole process."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = os.path.join(folder, 'out.exr')
+        command = [options.tilecast, 'render', options.scene, '--spp', str(spp), '--seed', str(seed), '-o', out,
+                   '--threads', str(options.threads), '--json']
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        finished = json.loads(subprocess.run(command, check=True, capture_output=True).stdout.splitlines()[-1])
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        return finished['seconds'], cpu, oracle.rgb(oracle.read_exr(mitsuba, out))
+
+
 def curve(options):
     mitsuba = oracle.load(options.variant)
     scene = oracle.load_scene(mitsuba, options.scene)
@@ -103,16 +139,9 @@ def curve(options):
     print('variant,threads,spp,seconds,cpu_seconds,mse,relmse')
     for spp in map(int, options.spp.split(',')):
         oracle.render(mitsuba, scene, spp, 0)
-        seconds, cpu_seconds, errors = [], [], []
-        for seed in range(1, SEEDS + 1):
-            start, cpu_start = time.perf_counter(), time.process_time()
-            image = oracle.render(mitsuba, scene, spp, SEEDS * spp + seed)
-            seconds.append(time.perf_counter() - start)
-            cpu_seconds.append(time.process_time() - cpu_start)
-            errors.append((np.mean((image - truth) ** 2), relmse(image, truth)))
-        mse, relative = np.mean(errors, axis=0)
-        times = f'{statistics.median(seconds):.4f},{statistics.median(cpu_seconds):.4f}'
-        print(f'{options.variant},{options.threads},{spp},{times},{mse:.6g},{relative:.6g}', flush=True)
+        median_row(options.variant, options, spp, truth, lambda seed: by_mitsuba(mitsuba, scene, spp, seed))
+        if options.tilecast:
+            median_row('tilecast', options, spp, truth, lambda seed: by_tilecast(mitsuba, options, spp, seed))
 
 
 def main():
@@ -132,6 +161,7 @@ def main():
         command.set_defaults(run=run)
     command.add_argument('--variant', default='llvm_ad_rgb')
     command.add_argument('--threads', type=int, default=os.cpu_count())
+    command.add_argument('--tilecast', help='the tilecast binary, to be timed in turn with Mitsuba')
     options = parser.parse_args()
     options.run(options)
 

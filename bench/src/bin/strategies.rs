@@ -1,13 +1,14 @@
 //! The strategies of the Monte Carlo estimator against each other: error over samples a pixel, with the fitted slope.
 //!
-//! Independent samples, so that the theory's O(1/N) for the mean squared error is what must be seen.
+//! Independent samples, so that the theory's O(1/N) for the mean squared error is what must be seen. Lights are hidden from the
+//! camera: the jagged edge of a bright lamp is the same noise for every strategy, and would drown their differences.
 
 use anyhow::Context;
 use clap::Parser;
 use std::path::PathBuf;
 use tilecast_bench::plot::{Curve, log_log};
 use tilecast_bench::{compile, means, mse, render};
-use tilecast_core::settings::{SamplerKind, Settings, Strategy};
+use tilecast_core::settings::{Film, Filter, Integrator, SamplerKind, Settings, Strategy, Window};
 
 const STRATEGIES: [(&str, Strategy); 5] = [
     ("uniform", Strategy::Uniform),
@@ -29,16 +30,31 @@ struct Arguments {
     #[arg(long, default_value_t = 1024)]
     spp: u32,
     /// Samples a pixel of the reference, by `mis` with Sobol' points
-    #[arg(long, default_value_t = 65536)]
+    #[arg(long, default_value_t = 32768)]
     reference_spp: u32,
     /// Images averaged for each error
     #[arg(long, default_value_t = 4)]
     seeds: u64,
+    /// Pixels of the image, about, in the scene's own aspect
+    #[arg(long, default_value_t = 1024)]
+    pixels: u32,
+}
+
+/// The same picture with another number of pixels, each the plain mean over its square, and without visible lamps.
+fn prepared(settings: Settings, pixels: u32) -> Settings {
+    let Film { width, height, .. } = settings.film;
+    let scale = (f64::from(pixels) / (f64::from(width) * f64::from(height))).sqrt();
+    let [width, height] = [width, height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
+    let crop = Window { x0: 0, y0: 0, x1: width, y1: height };
+    let integrator = Integrator { hide_emitters: true, ..settings.integrator };
+    Settings { film: Film { width, height, crop, filter: Filter::Box }, integrator, ..settings }
 }
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
+    std::fs::create_dir_all(&arguments.out).with_context(|| format!("making {}", arguments.out.display()))?;
     let (world, settings) = compile(&arguments.scene, &[])?;
+    let settings = prepared(settings, arguments.pixels);
     let best = Settings { spp: arguments.reference_spp, strategy: Strategy::Mis, seed: 1 << 32, ..settings.clone() };
     let reference = means(&render(&world, &Settings { sampler: SamplerKind::Sobol, ..best })?);
 
