@@ -22,5 +22,5 @@ deny:
 
 # The README's picture.
 picture:
-    cargo run --release -- render scenes/cornell-box/scene.xml --spp 256 --preview -o scenes/cornell-box/cornell-box.exr
+    cargo run --release -- render scenes/cornell-box/scene.xml --spp 256 --size 384x384 --preview -o scenes/cornell-box/cornell-box.exr
     rm scenes/cornell-box/cornell-box.exr
