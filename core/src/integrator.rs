@@ -36,6 +36,8 @@ pub struct Estimator {
 struct Origin {
     /// Where it starts.
     position: Vec3,
+    /// The shading normal there.
+    normal: Vec3,
     /// Density of its direction, in solid angle; infinite where light sampling could not have found it.
     pdf: f32,
 }
@@ -45,7 +47,7 @@ impl Estimator {
     pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
-        let mut origin = Origin { position: ray.origin, pdf: f32::INFINITY };
+        let mut origin = Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY };
         let mut eta = 1.0;
         let mut last_segment = false;
         let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
@@ -53,7 +55,7 @@ impl Estimator {
             let hidden = depth == 0 && self.integrator.hide_emitters;
             let Some(surface) = next_surface(lanes, world, &mut ray, hidden) else {
                 if !hidden {
-                    radiance += throughput * self.background(world, origin);
+                    radiance += throughput * self.background(world, origin, ray.direction);
                 }
                 break;
             };
@@ -93,7 +95,7 @@ impl Estimator {
                 break;
             }
             ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
-            origin = Origin { position: surface.position, pdf: next.pdf };
+            origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
         }
         radiance
     }
@@ -110,11 +112,12 @@ impl Estimator {
         sampler: &Sampler,
     ) -> Vec3 {
         let (choice, u) = (sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
-        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u) else {
+        let mis = self.strategy == Strategy::Mis;
+        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
             return Vec3::ZERO;
         };
         let scattered = shading.closure.eval(wo, shading.frame.to_local(light.wi));
-        let weight = if self.strategy == Strategy::Mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
+        let weight = if mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
         let contribution = scattered.value * light.weight * weight;
         if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
             return Vec3::ZERO;
@@ -124,8 +127,11 @@ impl Estimator {
 
     /// Radiance from beyond the scene.
     #[inline]
-    fn background(&self, world: &World, origin: Origin) -> Vec3 {
-        world.lights.background().map(|(radiance, pdf)| radiance * self.weight_of_hit(origin, pdf)).sum()
+    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Vec3 {
+        match world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis) {
+            Some((radiance, pdf)) => radiance * self.weight_of_hit(origin, pdf),
+            None => Vec3::ZERO,
+        }
     }
 
     /// Radiance emitted by the surface that was hit.
@@ -135,7 +141,7 @@ impl Estimator {
         if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
             return emitted * self.weight_of_hit(origin, 0.0);
         }
-        let light_pdf = world.lights.pdf(&world.geometry, origin.position, surface, light);
+        let light_pdf = world.lights.pdf(&world.geometry, origin.position, origin.normal, surface, light);
         emitted * self.weight_of_hit(origin, light_pdf)
     }
 
