@@ -161,6 +161,7 @@ impl Geometry {
             frame: Frame::around(shading),
             uv,
             shape,
+            primitive: triangle,
             light: table.light_of(triangle),
         }
     }
@@ -183,8 +184,32 @@ impl Geometry {
             frame: Frame::around(point.normal),
             uv: point.uv,
             shape,
+            primitive: table.first_primitive,
             light: table.light_of(table.first_primitive),
         }
+    }
+
+    /// ∂p/∂u and ∂p/∂v at a surface point: how it moves with its texture coordinates, as Mitsuba has it. A mesh without them
+    /// has some pair of unit tangents.
+    pub fn partials(&self, surface: &Surface) -> (Vec3, Vec3) {
+        if let Some(index) = self.analytic_index(surface.primitive) {
+            return self.analytic[index as usize].partials(surface.position);
+        }
+        let table = &self.shapes[surface.shape as usize];
+        if table.first_uv != NONE {
+            let vertices = self.triangles[surface.primitive as usize];
+            let [p0, p1, p2] = vertices.map(|i| self.positions[i as usize]);
+            let [uv0, uv1, uv2] = vertices.map(|i| self.uvs[(i - table.first_vertex + table.first_uv) as usize]);
+            let (dp1, dp2, duv1, duv2) = (p1 - p0, p2 - p0, uv1 - uv0, uv2 - uv0);
+            let determinant = duv1.x * duv2.y - duv1.y * duv2.x;
+            if determinant != 0.0 {
+                let dp_du = (dp1 * duv2.y - dp2 * duv1.y) / determinant;
+                let dp_dv = (dp2 * duv1.x - dp1 * duv2.x) / determinant;
+                return (dp_du, dp_dv);
+            }
+        }
+        let Frame { s, t, .. } = Frame::around(surface.normal);
+        (s, t)
     }
 
     /// The analytic shape of this index.

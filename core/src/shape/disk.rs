@@ -58,6 +58,14 @@ impl Disk {
         self.at(Vec2::new(local.x, local.y))
     }
 
+    /// ∂p/∂u and ∂p/∂v: outwards, and around; zero at the centre.
+    pub fn partials(&self, position: Vec3) -> (Vec3, Vec3) {
+        let local = self.to_object.transform_point3(position);
+        let outwards = Vec2::new(local.x, local.y).normalize_or_zero();
+        let map = |v: Vec2| self.to_world.matrix3.x_axis * v.x + self.to_world.matrix3.y_axis * v.y;
+        (map(outwards), map(Vec2::new(-local.y, local.x)) * TAU)
+    }
+
     /// A point uniform over the area.
     #[inline]
     pub fn sample(&self, from: Vec3, u: Vec2) -> Option<(Point, f32)> {

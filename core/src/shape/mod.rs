@@ -69,6 +69,14 @@ impl Analytic {
         }
     }
 
+    /// ∂p/∂u and ∂p/∂v at a point of the shape.
+    pub fn partials(&self, position: Vec3) -> (Vec3, Vec3) {
+        match self {
+            Self::Sphere(sphere) => sphere.partials(position),
+            Self::Disk(disk) => disk.partials(position),
+        }
+    }
+
     /// Surface area.
     pub fn area(&self) -> f32 {
         match self {

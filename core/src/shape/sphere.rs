@@ -83,6 +83,17 @@ impl Sphere {
         }
     }
 
+    /// ∂p/∂u and ∂p/∂v: around the pole, and away from it.
+    pub fn partials(&self, position: Vec3) -> (Vec3, Vec3) {
+        let local = self.rotation * (position - self.centre);
+        let rho = (local.x * local.x + local.y * local.y).sqrt();
+        let (cos, sin) = if rho > 0.0 { (local.x / rho, local.y / rho) } else { (1.0, 0.0) };
+        let to_world = self.rotation.transpose();
+        let du = Vec3::new(-local.y, local.x, 0.0) * TAU;
+        let dv = Vec3::new(local.z * cos, local.z * sin, -rho) * PI;
+        (to_world * du, to_world * dv)
+    }
+
     /// From outside: a direction uniform in the cone that the sphere fills, and the point met there first. From inside: a
     /// point uniform over the surface.
     #[inline]
