@@ -8,7 +8,7 @@
 //! - `direct`: one segment after the first surface, so that light is scattered once;
 //! - `whitted`: one segment after the first surface that is neither mirror nor glass.
 
-use crate::bsdf::{Closure, Sample};
+use crate::bsdf::Sample;
 use crate::bvh::Ray;
 use crate::bvh::simd::Lanes;
 use crate::sampler::{Sampler, Slot};
@@ -69,13 +69,13 @@ impl Estimator {
 
             sampler.at_surface(depth);
             let mut lobe = sampler.one(Slot::Lobe);
-            let shading = world.materials.at(&world.textures, &surface, wo, &mut lobe);
+            let shading = world.materials.at(&world.geometry, &world.textures, &surface, wo, &mut lobe);
             let wo = shading.frame.to_local(wo);
             if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
                 radiance += throughput * self.direct(lanes, world, &surface, &shading, wo, sampler);
             }
 
-            let Some(next) = self.continuation(&shading.closure, wo, lobe, sampler.two(Slot::Direction)) else { break };
+            let Some(next) = self.continuation(&shading, wo, lobe, sampler.two(Slot::Direction)) else { break };
             throughput *= next.weight;
             eta *= next.eta;
             last_segment = match self.integrator.kind {
@@ -116,7 +116,7 @@ impl Estimator {
         let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
             return Vec3::ZERO;
         };
-        let scattered = shading.closure.eval(wo, shading.frame.to_local(light.wi));
+        let scattered = shading.eval(wo, shading.frame.to_local(light.wi));
         let weight = if mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
         let contribution = scattered.value * light.weight * weight;
         if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
@@ -158,17 +158,24 @@ impl Estimator {
 
     /// One direction to go on, by the strategy. Mirrors and glass have theirs whatever the strategy.
     #[inline]
-    fn continuation(&self, closure: &Closure, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
-        let (wi, pdf) = match self.strategy {
-            _ if closure.is_delta() => return closure.sample(wo, lobe, u),
-            Strategy::Bsdf | Strategy::Light | Strategy::Mis => return closure.sample(wo, lobe, u),
+    fn continuation(&self, shading: &Shading, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
+        let delta_share = shading.closure.delta_share(wo);
+        let (mut wi, mut pdf) = match self.strategy {
+            _ if lobe < delta_share => return shading.sample(wo, lobe, u),
+            Strategy::Bsdf | Strategy::Light | Strategy::Mis => return shading.sample(wo, lobe, u),
             Strategy::Uniform => (uniform_hemisphere(u), UNIFORM_HEMISPHERE_PDF),
             Strategy::Cosine => {
                 let wi = cosine_hemisphere(u);
                 (wi, cosine_hemisphere_pdf(wi.z))
             }
         };
-        (pdf > 0.0).then(|| Sample { wi, weight: closure.eval(wo, wi).value / pdf, pdf, eta: 1.0 })
+        if shading.closure.transmits() {
+            // Half of the directions on the other side.
+            wi.z = if lobe < 0.5 { -wi.z } else { wi.z };
+            pdf *= 0.5;
+        }
+        pdf *= 1.0 - delta_share;
+        (pdf > 0.0).then(|| Sample { wi, weight: shading.eval(wo, wi).value / pdf, pdf, eta: 1.0 })
     }
 }
 

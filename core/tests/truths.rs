@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::{self, Film};
 use tilecast_core::scene::{
-    Bsdf, BsdfId, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels, Texture,
+    Bsdf, BsdfId, Distribution, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels, Texture,
     TextureId,
 };
 use tilecast_core::settings::{
@@ -235,6 +235,42 @@ fn area_lights_have_their_form_factors() {
             let truth = 0.5 * form_factor;
             // The lit surface's own albedo/π · π L F; three degrees of freedom make the bars wide.
             assert!((mean - truth).abs() < 9.0 * error + 1e-5, "{strategy:?}: {mean} ± {error} for {truth}");
+        }
+    }
+}
+
+/// Every strategy sees the same light on a material that is part mirror, and through one that is part window: uniform and
+/// cosine directions must reach the other side of rough glass, and must not take plastic's mirror from it.
+#[test]
+fn strategies_agree_on_mirrors_under_plastic_and_on_rough_glass() {
+    let sensor = camera(Vec3::new(0.0, 1.0, 3.0), Vec3::X, -Vec3::Y, -Vec3::Z);
+    let (half, one) = (TextureId(0), TextureId(1));
+    let plastic = Bsdf::Plastic { eta: 1.5, nonlinear: false, diffuse_reflectance: half, specular_reflectance: one };
+    let glass = Bsdf::RoughDielectric {
+        distribution: Distribution::Ggx,
+        alpha_u: half,
+        alpha_v: half,
+        eta: 1.5,
+        specular_reflectance: one,
+        specular_transmittance: one,
+    };
+    for (name, bsdf) in [("plastic", plastic), ("rough glass", glass)] {
+        let sphere = Geometry::Sphere { to_world: Affine3::IDENTITY, flip_normals: false };
+        let mut lit = scene(sensor.clone(), 0.5, vec![shape(sphere, false)]);
+        lit.bsdfs = vec![bsdf];
+        lit.emitters.push(Emitter::Constant { radiance: Vec3::ONE });
+        // Many uniform directions in a row would make rare, bright paths: the variance of their products grows without bound.
+        let render = |strategy| {
+            let mut settings = settings(16, 1024, strategy);
+            settings.integrator.max_depth = Some(3);
+            mean_and_error(&render(&lit, &settings))
+        };
+        let (truth, its_error) = render(Strategy::Mis);
+        for strategy in ALL_STRATEGIES {
+            let (mean, error) = render(strategy);
+            let together = (error * error + its_error * its_error).sqrt();
+            assert!((mean - truth).abs() < 4.0 * together, "{name} {strategy:?}: {mean} ± {error} for {truth}");
+            assert!(error < 0.02 * truth, "{name} {strategy:?}: error {error} is too large to tell");
         }
     }
 }

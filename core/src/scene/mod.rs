@@ -14,7 +14,7 @@ mod texture;
 mod validate;
 
 pub use blobs::{BlobError, Digest, SceneBlobs};
-pub use bsdf::{Bsdf, BsdfId};
+pub use bsdf::{Bend, Bsdf, BsdfId, Distribution};
 pub use emitter::Emitter;
 pub use sensor::{FovAxis, Lens, Sensor};
 pub use shape::{Geometry, Mesh, MeshId, Shape};

@@ -44,8 +44,10 @@ impl Scene {
         for (i, texture) in self.textures.iter().enumerate() {
             self.validate_texture(i, texture)?;
         }
+        let mut bent = Vec::with_capacity(self.bsdfs.len());
         for (i, bsdf) in self.bsdfs.iter().enumerate() {
             self.validate_bsdf(i, bsdf)?;
+            bent.push(bends(&format!("bsdf {i}"), bsdf, &bent)?);
         }
         for (i, emitter) in self.emitters.iter().enumerate() {
             self.validate_emitter(&format!("emitter {i}"), emitter)?;
@@ -165,10 +167,9 @@ impl Scene {
             Bsdf::Conductor { eta, k, specular_reflectance } => {
                 [eta, k, specular_reflectance].into_iter().try_for_each(texture)
             }
-            Bsdf::Dielectric { eta, specular_reflectance, specular_transmittance } => {
-                check(eta.is_finite() && *eta > 0.0, || {
-                    value(&what, format!("the relative index of refraction is {eta}, it must be positive"))
-                })?;
+            Bsdf::Dielectric { eta, specular_reflectance, specular_transmittance }
+            | Bsdf::ThinDielectric { eta, specular_reflectance, specular_transmittance } => {
+                refractive_index(&what, *eta)?;
                 [specular_reflectance, specular_transmittance].into_iter().try_for_each(texture)
             }
             Bsdf::Phong { diffuse_reflectance, specular_reflectance, exponent } => {
@@ -177,13 +178,103 @@ impl Scene {
                 })?;
                 [diffuse_reflectance, specular_reflectance].into_iter().try_for_each(texture)
             }
+            Bsdf::RoughConductor { alpha_u, alpha_v, eta, k, specular_reflectance, .. } => {
+                [alpha_u, alpha_v, eta, k, specular_reflectance].into_iter().try_for_each(texture)
+            }
+            Bsdf::RoughDielectric { alpha_u, alpha_v, eta, specular_reflectance, specular_transmittance, .. } => {
+                refractive_index(&what, *eta)?;
+                [alpha_u, alpha_v, specular_reflectance, specular_transmittance].into_iter().try_for_each(texture)
+            }
+            Bsdf::Plastic { eta, diffuse_reflectance, specular_reflectance, .. } => {
+                refractive_index(&what, *eta)?;
+                [diffuse_reflectance, specular_reflectance].into_iter().try_for_each(texture)
+            }
+            Bsdf::RoughPlastic { alpha, eta, diffuse_reflectance, specular_reflectance, .. } => {
+                check(alpha.is_finite(), || value(&what, "the roughness is not finite"))?;
+                refractive_index(&what, *eta)?;
+                [diffuse_reflectance, specular_reflectance].into_iter().try_for_each(texture)
+            }
+            Bsdf::Principled { .. } | Bsdf::PrincipledThin { .. } => self.validate_principled(&what, bsdf),
+            Bsdf::Null => Ok(()),
             Bsdf::TwoSided { front, back } => [front, back].into_iter().try_for_each(nested),
-            Bsdf::Mask { opacity, nested: inner } => {
-                texture(opacity)?;
+            Bsdf::BlendBsdf { weight, nested: both } => {
+                texture(weight)?;
+                both.iter().try_for_each(nested)
+            }
+            Bsdf::Mask { opacity: map, nested: inner } | Bsdf::NormalMap { normalmap: map, nested: inner, .. } => {
+                texture(map)?;
+                nested(inner)
+            }
+            Bsdf::BumpMap { texture: heights, scale, nested: inner, .. } => {
+                check(scale.is_finite(), || value(&what, "its scale is not finite"))?;
+                texture(heights)?;
                 nested(inner)
             }
         }
     }
+
+    fn validate_principled(&self, what: &str, bsdf: &Bsdf) -> Result<(), SceneError> {
+        let texture = |id: &TextureId| index(what, "texture", id.0, self.textures.len());
+        match bsdf {
+            Bsdf::Principled {
+                base_color,
+                roughness,
+                anisotropic,
+                metallic,
+                spec_trans,
+                eta,
+                spec_tint,
+                sheen,
+                sheen_tint,
+                flatness,
+                clearcoat,
+                clearcoat_gloss,
+            } => {
+                refractive_index(what, *eta)?;
+                [base_color, roughness, anisotropic, metallic, spec_trans, spec_tint]
+                    .into_iter()
+                    .try_for_each(texture)?;
+                [sheen, sheen_tint, flatness, clearcoat, clearcoat_gloss].into_iter().try_for_each(texture)
+            }
+            Bsdf::PrincipledThin {
+                base_color,
+                roughness,
+                anisotropic,
+                spec_trans,
+                eta,
+                spec_tint,
+                sheen,
+                sheen_tint,
+                flatness,
+                diff_trans,
+            } => {
+                [base_color, roughness, anisotropic, spec_trans, eta].into_iter().try_for_each(texture)?;
+                [spec_tint, sheen, sheen_tint, flatness, diff_trans].into_iter().try_for_each(texture)
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Whether a bump or normal map is in it, given the same of those before it. Two in a row would need a frame each.
+fn bends(what: &str, bsdf: &Bsdf, bent: &[bool]) -> Result<bool, SceneError> {
+    let inner = |id: &BsdfId| bent[id.0 as usize];
+    match bsdf {
+        Bsdf::BumpMap { nested, .. } | Bsdf::NormalMap { nested, .. } => {
+            check(!inner(nested), || value(what, "a bump or normal map cannot be nested in another"))?;
+            Ok(true)
+        }
+        Bsdf::Mask { nested, .. } => Ok(inner(nested)),
+        Bsdf::TwoSided { front, back } => Ok(inner(front) || inner(back)),
+        Bsdf::BlendBsdf { nested, .. } => Ok(nested.iter().any(inner)),
+        _ => Ok(false),
+    }
+}
+
+fn refractive_index(what: &str, eta: f32) -> Result<(), SceneError> {
+    check(eta.is_finite() && eta > 0.0, || {
+        value(what, format!("the relative index of refraction is {eta}, it must be positive"))
+    })
 }
 
 impl Mesh {

@@ -8,6 +8,7 @@ use super::properties::Properties;
 use crate::load::error::{Result, did_you_mean};
 use crate::scene::{Bsdf, BsdfId};
 use glam::DVec3;
+use std::collections::HashSet;
 
 pub(crate) const PLUGINS: &[Plugin] = &[
     Plugin {
@@ -173,13 +174,27 @@ fn mask(loader: &mut Loader, properties: &Properties) -> Result<BsdfId> {
 }
 
 impl Loader<'_> {
-    /// Whether light goes through a BSDF.
+    /// Whether light goes through a BSDF, or through one that it nests.
     fn transmits(&self, id: BsdfId) -> bool {
-        match self.assembly.bsdf_of(id) {
-            Some(Bsdf::Dielectric { .. } | Bsdf::Mask { .. }) => true,
-            Some(Bsdf::TwoSided { .. } | Bsdf::Diffuse { .. } | Bsdf::Conductor { .. } | Bsdf::Phong { .. }) | None => {
-                false
+        let (mut pending, mut seen) = (vec![id], HashSet::new());
+        while let Some(id) = pending.pop() {
+            if !seen.insert(id) {
+                continue;
+            }
+            match self.assembly.bsdf_of(id) {
+                Some(
+                    Bsdf::Dielectric { .. }
+                    | Bsdf::RoughDielectric { .. }
+                    | Bsdf::ThinDielectric { .. }
+                    | Bsdf::PrincipledThin { .. }
+                    | Bsdf::Mask { .. }
+                    | Bsdf::Null,
+                ) => return true,
+                Some(Bsdf::BlendBsdf { nested, .. }) => pending.extend(nested),
+                Some(Bsdf::BumpMap { nested, .. } | Bsdf::NormalMap { nested, .. }) => pending.push(*nested),
+                Some(_) | None => {}
             }
         }
+        false
     }
 }
