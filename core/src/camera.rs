@@ -108,7 +108,7 @@ fn film_to_camera(half_width: f32, shift: Vec2, width: f32, height: f32) -> (Vec
 }
 
 /// The tangent of half the horizontal field of view.
-fn half_width_tangent(fov_degrees: f32, axis: FovAxis, width: f32, height: f32) -> f32 {
+pub(crate) fn half_width_tangent(fov_degrees: f32, axis: FovAxis, width: f32, height: f32) -> f32 {
     let tangent = libm::tan(0.5 * f64::from(fov_degrees).to_radians()) as f32;
     match axis {
         FovAxis::X => tangent,

@@ -70,11 +70,11 @@ pub fn normal_of_texel(texel: Vec3) -> Vec3 {
 }
 
 /// The normal, in the space of `frame`, of the surface raised by heights with these derivatives by the texture coordinates;
-/// `tangents` are the surface's own (Blinn 1978, without the change of the normal). It is on the side of the geometric
+/// `du` and `dv` are the surface's own tangents (Blinn 1978, without the change of the normal). It is on the side of the geometric
 /// normal.
 #[inline]
 pub fn normal_of_heights(frame: &Frame, geometric: Vec3, (du, dv): (Vec3, Vec3), heights: Vec2) -> Vec3 {
-    let raised = |partial: Vec3, height: f32| Vec3::new(frame.s.dot(partial), frame.t.dot(partial), height);
+    let raised = |tangent: Vec3, height: f32| Vec3::new(frame.s.dot(tangent), frame.t.dot(tangent), height);
     let n = raised(du, heights.x).cross(raised(dv, heights.y));
     if n.dot(frame.to_local(geometric)) < 0.0 { -n } else { n }
 }

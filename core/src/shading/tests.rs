@@ -82,6 +82,7 @@ fn scene(shape: &str, material: usize) -> Scene {
             principal_point_offset: [0.0; 2],
             near_clip: 0.1,
             far_clip: 100.0,
+            lens: None,
         },
         shapes: vec![Shape { name: shape.into(), geometry, bsdf: BsdfId(bsdfs.len() as u32 - 1), radiance: None }],
         bsdfs,
