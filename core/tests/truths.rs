@@ -8,8 +8,8 @@ use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::{self, Film};
 use tilecast_core::scene::{
-    Bsdf, BsdfId, Distribution, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels, Texture,
-    TextureId,
+    Bsdf, BsdfId, Distribution, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels,
+    Texture, TextureId,
 };
 use tilecast_core::settings::{
     Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window,
@@ -272,5 +272,25 @@ fn strategies_agree_on_mirrors_under_plastic_and_on_rough_glass() {
             assert!((mean - truth).abs() < 4.0 * together, "{name} {strategy:?}: {mean} ± {error} for {truth}");
             assert!(error < 0.02 * truth, "{name} {strategy:?}: error {error} is too large to tell");
         }
+    }
+}
+
+/// A small sphere light far away: L (r/d)² times the albedo. Fails if the light casts a shadow on itself by rounding.
+#[test]
+fn a_small_far_light_does_not_shade_itself() {
+    let (radius, below) = (0.01f32, Vec3::new(3.1, 2.3, 0.0));
+    let affine = |scale: f32, at: Vec3| Affine3::from_translation(at) * Affine3::from_scale(Vec3::splat(scale));
+    let plane = Geometry::Disk { to_world: affine(50.0, Vec3::ZERO), flip_normals: false };
+    for distance in [2.0, 5.0, 11.0] {
+        let lamp = Geometry::Sphere { to_world: affine(radius, below + Vec3::Z * distance), flip_normals: false };
+        let sensor = camera(below + Vec3::Z * 0.5, Vec3::X, -Vec3::Y, -Vec3::Z);
+        let lit = scene(sensor, 0.5, vec![shape(plane.clone(), false), shape(lamp, true)]);
+        let mut one = settings(1, 1 << 10, Strategy::Light);
+        one.film =
+            FilmSettings { width: 1001, height: 1001, crop: Window { x0: 500, y0: 500, x1: 501, y1: 501 }, ..one.film };
+        let mean = f64::from(render(&lit, &one).estimate(500, 500).mean[0]);
+        let truth = 0.5 * f64::from(radius / distance).powi(2);
+        // The pixel is a thousandth of the distance wide; every sample has the same value.
+        assert!((mean / truth - 1.0).abs() < 1e-3, "{distance}: {mean} for {truth}");
     }
 }
