@@ -27,6 +27,16 @@ impl Frame {
         }
     }
 
+    /// The right-handed frame around a unit normal whose s lies along `tangent`, made orthogonal (Gram & Schmidt); some frame
+    /// if that has no direction across the normal.
+    #[inline]
+    pub fn along(n: Vec3, tangent: Vec3) -> Self {
+        match (tangent - n * n.dot(tangent)).try_normalize() {
+            Some(s) => Self { s, t: n.cross(s), n },
+            None => Self::around(n),
+        }
+    }
+
     /// World to local.
     #[inline]
     pub fn to_local(&self, v: Vec3) -> Vec3 {

@@ -8,7 +8,7 @@
 //! - `direct`: one segment after the first surface, so that light is scattered once;
 //! - `whitted`: one segment after the first surface that is neither mirror nor glass.
 
-use crate::bsdf::{Closure, Sample};
+use crate::bsdf::Sample;
 use crate::bvh::Ray;
 use crate::bvh::simd::Lanes;
 use crate::sampler::{Sampler, Slot};
@@ -36,6 +36,8 @@ pub struct Estimator {
 struct Origin {
     /// Where it starts.
     position: Vec3,
+    /// The shading normal there.
+    normal: Vec3,
     /// Density of its direction, in solid angle; infinite where light sampling could not have found it.
     pdf: f32,
 }
@@ -45,7 +47,7 @@ impl Estimator {
     pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
-        let mut origin = Origin { position: ray.origin, pdf: f32::INFINITY };
+        let mut origin = Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY };
         let mut eta = 1.0;
         let mut last_segment = false;
         let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
@@ -53,7 +55,7 @@ impl Estimator {
             let hidden = depth == 0 && self.integrator.hide_emitters;
             let Some(surface) = next_surface(lanes, world, &mut ray, hidden) else {
                 if !hidden {
-                    radiance += throughput * self.background(world, origin);
+                    radiance += throughput * self.background(world, origin, ray.direction);
                 }
                 break;
             };
@@ -67,13 +69,13 @@ impl Estimator {
 
             sampler.at_surface(depth);
             let mut lobe = sampler.one(Slot::Lobe);
-            let shading = world.materials.at(&world.textures, &surface, wo, &mut lobe);
+            let shading = world.materials.at(&world.geometry, &world.textures, &surface, wo, &mut lobe);
             let wo = shading.frame.to_local(wo);
             if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
                 radiance += throughput * self.direct(lanes, world, &surface, &shading, wo, sampler);
             }
 
-            let Some(next) = self.continuation(&shading.closure, wo, lobe, sampler.two(Slot::Direction)) else { break };
+            let Some(next) = self.continuation(&shading, wo, lobe, sampler.two(Slot::Direction)) else { break };
             throughput *= next.weight;
             eta *= next.eta;
             last_segment = match self.integrator.kind {
@@ -93,7 +95,7 @@ impl Estimator {
                 break;
             }
             ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
-            origin = Origin { position: surface.position, pdf: next.pdf };
+            origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
         }
         radiance
     }
@@ -110,11 +112,12 @@ impl Estimator {
         sampler: &Sampler,
     ) -> Vec3 {
         let (choice, u) = (sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
-        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u) else {
+        let mis = self.strategy == Strategy::Mis;
+        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
             return Vec3::ZERO;
         };
-        let scattered = shading.closure.eval(wo, shading.frame.to_local(light.wi));
-        let weight = if self.strategy == Strategy::Mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
+        let scattered = shading.eval(wo, shading.frame.to_local(light.wi));
+        let weight = if mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
         let contribution = scattered.value * light.weight * weight;
         if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
             return Vec3::ZERO;
@@ -124,8 +127,11 @@ impl Estimator {
 
     /// Radiance from beyond the scene.
     #[inline]
-    fn background(&self, world: &World, origin: Origin) -> Vec3 {
-        world.lights.background().map(|(radiance, pdf)| radiance * self.weight_of_hit(origin, pdf)).sum()
+    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Vec3 {
+        match world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis) {
+            Some((radiance, pdf)) => radiance * self.weight_of_hit(origin, pdf),
+            None => Vec3::ZERO,
+        }
     }
 
     /// Radiance emitted by the surface that was hit.
@@ -135,7 +141,7 @@ impl Estimator {
         if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
             return emitted * self.weight_of_hit(origin, 0.0);
         }
-        let light_pdf = world.lights.pdf(&world.geometry, origin.position, surface, light);
+        let light_pdf = world.lights.pdf(&world.geometry, origin.position, origin.normal, surface, light);
         emitted * self.weight_of_hit(origin, light_pdf)
     }
 
@@ -152,17 +158,24 @@ impl Estimator {
 
     /// One direction to go on, by the strategy. Mirrors and glass have theirs whatever the strategy.
     #[inline]
-    fn continuation(&self, closure: &Closure, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
-        let (wi, pdf) = match self.strategy {
-            _ if closure.is_delta() => return closure.sample(wo, lobe, u),
-            Strategy::Bsdf | Strategy::Light | Strategy::Mis => return closure.sample(wo, lobe, u),
+    fn continuation(&self, shading: &Shading, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
+        let delta_share = shading.closure.delta_share(wo);
+        let (mut wi, mut pdf) = match self.strategy {
+            _ if lobe < delta_share => return shading.sample(wo, lobe, u),
+            Strategy::Bsdf | Strategy::Light | Strategy::Mis => return shading.sample(wo, lobe, u),
             Strategy::Uniform => (uniform_hemisphere(u), UNIFORM_HEMISPHERE_PDF),
             Strategy::Cosine => {
                 let wi = cosine_hemisphere(u);
                 (wi, cosine_hemisphere_pdf(wi.z))
             }
         };
-        (pdf > 0.0).then(|| Sample { wi, weight: closure.eval(wo, wi).value / pdf, pdf, eta: 1.0 })
+        if shading.closure.transmits() {
+            // Half of the directions on the other side.
+            wi.z = if lobe < 0.5 { -wi.z } else { wi.z };
+            pdf *= 0.5;
+        }
+        pdf *= 1.0 - delta_share;
+        (pdf > 0.0).then(|| Sample { wi, weight: shading.eval(wo, wi).value / pdf, pdf, eta: 1.0 })
     }
 }
 

@@ -1,81 +1,163 @@
-//! From a hit to the closure that scatters there: textures are looked up, sides and masks decided.
+//! From a hit to the closure that scatters there: textures are looked up, sides, masks and blends decided, frames bent.
 
-use crate::bsdf::{Closure, Conductor, Dielectric, Diffuse, Phong};
+mod bend;
+mod simple;
+
+use crate::bsdf::{Closure, Evaluation, Sample};
 use crate::frame::Frame;
-use crate::scene::{Bsdf, BsdfId, Shape};
+use crate::geometry::Geometry;
+use crate::scene::{Bsdf, BsdfId, Scene, Texture, TextureId};
 use crate::surface::Surface;
 use crate::texture::Textures;
-use glam::Vec3;
+use bend::{Bent, Tilt, bent, normal_of_heights, normal_of_texel};
+use glam::{Vec2, Vec3};
+use simple::{Coats, closure};
 
 /// The materials of a scene.
 pub struct Materials {
     bsdfs: Vec<Bsdf>,
     of_shape: Vec<BsdfId>,
+    /// Whether each BSDF needs tangents that follow the texture coordinates.
+    oriented: Vec<bool>,
+    coats: Coats,
 }
 
 /// How light scatters at one hit.
 #[derive(Clone, Copy, Debug)]
-pub struct Shading {
+pub struct Shading<'a> {
     /// The model.
-    pub closure: Closure,
+    pub closure: Closure<'a>,
     /// Its local space.
     pub frame: Frame,
+    /// How a bump or normal map has bent that from the surface's own.
+    tilt: Option<Tilt>,
+}
+
+impl Shading<'_> {
+    /// As [`Closure::eval`], bent.
+    #[inline]
+    pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
+        let Some(tilt) = &self.tilt else { return self.closure.eval(wo, wi) };
+        match tilt.factor(wi) {
+            None => Evaluation::default(),
+            Some(factor) => {
+                let Evaluation { value, pdf } = self.closure.eval(wo, wi);
+                Evaluation { value: value * factor, pdf }
+            }
+        }
+    }
+
+    /// As [`Closure::sample`], bent.
+    #[inline]
+    pub fn sample(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
+        let sample = self.closure.sample(wo, lobe, u)?;
+        let Some(tilt) = &self.tilt else { return Some(sample) };
+        tilt.factor(sample.wi).map(|factor| Sample { weight: sample.weight * factor, ..sample })
+    }
 }
 
 impl Materials {
-    /// The materials of these shapes.
-    pub fn new(bsdfs: &[Bsdf], shapes: &[Shape]) -> Self {
-        Self { bsdfs: bsdfs.to_vec(), of_shape: shapes.iter().map(|s| s.bsdf).collect() }
+    /// The materials of a scene's shapes.
+    pub fn new(scene: &Scene) -> Self {
+        let mut oriented = Vec::with_capacity(scene.bsdfs.len());
+        for bsdf in &scene.bsdfs {
+            oriented.push(is_oriented(scene, bsdf, &oriented));
+        }
+        Self {
+            bsdfs: scene.bsdfs.clone(),
+            of_shape: scene.shapes.iter().map(|s| s.bsdf).collect(),
+            oriented,
+            coats: Coats::new(&scene.bsdfs),
+        }
     }
 
     /// The closure at `surface`, seen from the direction `wo`. A mask answers at random, by `lobe`: with the probability of
-    /// its opacity the surface is there, else nothing is. The mean over `lobe` is the mask's blend, and a path goes on in one
-    /// way. The rest of `lobe` is handed back as a fresh number.
+    /// its opacity the surface is there, else nothing is. A blend chooses one of its two likewise. The mean over `lobe` is
+    /// the mixture, and a path goes on in one way. The rest of `lobe` is handed back as a fresh number.
     #[inline]
-    pub fn at(&self, textures: &Textures, surface: &Surface, wo: Vec3, lobe: &mut f32) -> Shading {
-        let mut frame = surface.frame;
+    pub fn at(
+        &self,
+        geometry: &Geometry,
+        textures: &Textures,
+        surface: &Surface,
+        wo: Vec3,
+        lobe: &mut f32,
+    ) -> Shading<'_> {
         let mut id = self.of_shape[surface.shape as usize];
-        let value = |id| textures.at(id, surface.uv);
+        let mut frame = surface.frame;
+        if self.oriented[id.0 as usize] {
+            frame = Frame::along(frame.n, geometry.tangents(surface).0);
+        }
+        let upright = frame;
+        let mut tilt: Option<Bent> = None;
         loop {
-            let closure = match &self.bsdfs[id.0 as usize] {
+            match &self.bsdfs[id.0 as usize] {
                 Bsdf::TwoSided { front, back } => {
                     if frame.n.dot(wo) < 0.0 {
                         (id, frame) = (*back, frame.turned_over());
                     } else {
                         id = *front;
                     }
-                    continue;
                 }
                 Bsdf::Mask { opacity, nested } => {
-                    let opacity = value(*opacity).x.clamp(0.0, 1.0);
-                    if *lobe < opacity {
-                        *lobe /= opacity;
-                        id = *nested;
-                        continue;
+                    if !happens(lobe, textures.at(*opacity, surface.uv).x) {
+                        return Shading { closure: Closure::Null, frame, tilt: tilt.map(|bent| bent.seen_in(&frame)) };
                     }
-                    *lobe = ((*lobe - opacity) / (1.0 - opacity)).min(1.0 - f32::EPSILON);
-                    Closure::Null
+                    id = *nested;
                 }
-                Bsdf::Diffuse { reflectance } => Closure::Diffuse(Diffuse { reflectance: value(*reflectance) }),
-                Bsdf::Conductor { eta, k, specular_reflectance } => Closure::Conductor(Conductor {
-                    eta: value(*eta),
-                    k: value(*k),
-                    specular_reflectance: value(*specular_reflectance),
-                }),
-                Bsdf::Dielectric { eta, specular_reflectance, specular_transmittance } => {
-                    Closure::Dielectric(Dielectric {
-                        eta: *eta,
-                        specular_reflectance: value(*specular_reflectance),
-                        specular_transmittance: value(*specular_transmittance),
-                    })
+                Bsdf::BlendBsdf { weight, nested } => {
+                    id = nested[usize::from(happens(lobe, textures.at(*weight, surface.uv).x))];
                 }
-                Bsdf::Phong { diffuse_reflectance, specular_reflectance, exponent } => Closure::Phong(Phong {
-                    kd: value(*diffuse_reflectance),
-                    ks: value(*specular_reflectance),
-                    exponent: *exponent,
-                }),
-            };
-            return Shading { closure, frame };
+                Bsdf::BumpMap { texture, scale, bend, nested } => {
+                    let heights = textures.gradient(*texture, surface.uv) * *scale;
+                    let normal = normal_of_heights(&upright, surface.normal, geometry.tangents(surface), heights);
+                    let map = bent(&frame, wo, normal, *bend);
+                    (id, frame, tilt) = (*nested, map.frame, Some(map));
+                }
+                Bsdf::NormalMap { normalmap, bend, nested } => {
+                    let normal = normal_of_texel(textures.at(*normalmap, surface.uv));
+                    let map = bent(&frame, wo, normal, *bend);
+                    (id, frame, tilt) = (*nested, map.frame, Some(map));
+                }
+                simple => {
+                    let closure = closure(simple, &self.coats, id, textures, surface.uv);
+                    return Shading { closure, frame, tilt: tilt.map(|bent| bent.seen_in(&frame)) };
+                }
+            }
         }
     }
 }
+
+/// Decides an event of this probability by `lobe`, and makes a fresh number of what is left of it.
+#[inline]
+fn happens(lobe: &mut f32, probability: f32) -> bool {
+    let probability = probability.clamp(0.0, 1.0);
+    let happens = *lobe < probability;
+    *lobe = if happens { *lobe / probability } else { (*lobe - probability) / (1.0 - probability) };
+    *lobe = lobe.min(1.0 - f32::EPSILON);
+    happens
+}
+
+/// Whether a BSDF needs tangents that follow the texture coordinates, given the same of those before it.
+fn is_oriented(scene: &Scene, bsdf: &Bsdf, oriented: &[bool]) -> bool {
+    let inner = |id: &BsdfId| oriented[id.0 as usize];
+    let constant = |id: &TextureId| match &scene.textures[id.0 as usize] {
+        Texture::Constant(value) => Some(value.x),
+        _ => None,
+    };
+    match bsdf {
+        Bsdf::RoughConductor { alpha_u, alpha_v, .. } | Bsdf::RoughDielectric { alpha_u, alpha_v, .. } => {
+            alpha_u != alpha_v && (constant(alpha_u).is_none() || constant(alpha_u) != constant(alpha_v))
+        }
+        Bsdf::Principled { anisotropic, .. } | Bsdf::PrincipledThin { anisotropic, .. } => {
+            constant(anisotropic) != Some(0.0)
+        }
+        Bsdf::BumpMap { .. } | Bsdf::NormalMap { .. } => true,
+        Bsdf::Mask { nested, .. } => inner(nested),
+        Bsdf::TwoSided { front, back } => inner(front) || inner(back),
+        Bsdf::BlendBsdf { nested, .. } => nested.iter().any(inner),
+        _ => false,
+    }
+}
+#[cfg(test)]
+mod tests;

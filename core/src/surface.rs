@@ -14,6 +14,10 @@ pub const fn gamma(n: u32) -> f32 {
     nu / (1.0 - nu)
 }
 
+/// Where a shadow ray ends, as a share of the way to its target. A small and far sphere is met with an error that grows with
+/// the distance, not with the sphere: without a margin it would cast a shadow on itself.
+const SHADOW_END: f32 = 1.0 - 1e-4;
+
 /// A point on a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface {
@@ -29,6 +33,8 @@ pub struct Surface {
     pub uv: Vec2,
     /// Index of the shape.
     pub shape: u32,
+    /// The primitive: a triangle or an analytic shape, as [`crate::geometry::Geometry`] numbers them.
+    pub primitive: u32,
     /// The light that this point is part of, if it emits.
     pub light: Option<u32>,
 }
@@ -41,13 +47,13 @@ impl Surface {
         Ray { origin: self.offset(w), direction: w, t_max }
     }
 
-    /// A ray from here to another point; t = 1 is there.
+    /// A ray from here to just before another point; t = 1 is there.
     #[inline]
     pub fn ray_to(&self, target: &Surface) -> Ray {
         let towards = target.position - self.position;
         let origin = self.offset(towards);
         let direction = target.offset(-towards) - origin;
-        Ray { origin, direction, t_max: 1.0 }
+        Ray { origin, direction, t_max: SHADOW_END }
     }
 
     /// A ray from here to a point that is on no surface; t = 1 is there.

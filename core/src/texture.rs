@@ -41,25 +41,50 @@ impl Textures {
     fn bitmap(&self, image: &Image, to_uv: &Affine2, filter: FilterType, wrap: WrapMode, uv: Vec2) -> Vec3 {
         let uv = to_uv.transform_point2(uv);
         let p = Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32);
-        let fetch = |x: f32, y: f32| {
-            let (x, y) = (wrapped(x, image.width, wrap), wrapped(y, image.height, wrap));
-            self.texel(image, y as usize * image.width as usize + x as usize)
-        };
         match filter {
-            FilterType::Nearest => fetch(p.x.floor(), p.y.floor()),
+            FilterType::Nearest => self.fetch(image, wrap, p.floor()),
             FilterType::Bilinear => {
-                let corner = p - Vec2::splat(0.5);
-                let (x, y) = (corner.x.floor(), corner.y.floor());
-                let (fx, fy) = (corner.x - x, corner.y - y);
-                let upper = fetch(x, y) * (1.0 - fx) + fetch(x + 1.0, y) * fx;
-                let lower = fetch(x, y + 1.0) * (1.0 - fx) + fetch(x + 1.0, y + 1.0) * fx;
-                upper * (1.0 - fy) + lower * fy
+                let Cell { upper, lower, at } = self.cell(image, wrap, p);
+                let upper = upper[0] * (1.0 - at.x) + upper[1] * at.x;
+                let lower = lower[0] * (1.0 - at.x) + lower[1] * at.x;
+                upper * (1.0 - at.y) + lower * at.y
             }
         }
     }
 
+    /// The derivative of the luminance by the texture coordinates, for heights: that of the interpolation between a
+    /// bitmap's texels, zero for what is flat but for its steps.
+    pub fn gradient(&self, id: TextureId, uv: Vec2) -> Vec2 {
+        let Texture::Bitmap { image, to_uv, filter: FilterType::Bilinear, wrap, scale } = &self.textures[id.0 as usize]
+        else {
+            return Vec2::ZERO;
+        };
+        let image = &self.images[image.0 as usize];
+        let size = Vec2::new(image.width as f32, image.height as f32);
+        let Cell { upper, lower, at } = self.cell(image, *wrap, to_uv.transform_point2(uv) * size);
+        let ([a, b], [c, d]) = (upper.map(luminance), lower.map(luminance));
+        let by_texel = Vec2::new((b - a) * (1.0 - at.y) + (d - c) * at.y, (c - a) * (1.0 - at.x) + (d - b) * at.x);
+        to_uv.matrix2.transpose() * (by_texel * size) * *scale
+    }
+
     #[inline]
-    fn texel(&self, image: &Image, i: usize) -> Vec3 {
+    fn fetch(&self, image: &Image, wrap: WrapMode, p: Vec2) -> Vec3 {
+        let (x, y) = (wrapped(p.x, image.width, wrap), wrapped(p.y, image.height, wrap));
+        self.texel(image, y as usize * image.width as usize + x as usize)
+    }
+
+    /// The four texels around the position `p`, in texels.
+    #[inline]
+    fn cell(&self, image: &Image, wrap: WrapMode, p: Vec2) -> Cell {
+        let p = p - Vec2::splat(0.5);
+        let corner = p.floor();
+        let row = |y: f32| [0.0, 1.0].map(|x| self.fetch(image, wrap, corner + Vec2::new(x, y)));
+        Cell { upper: row(0.0), lower: row(1.0), at: p - corner }
+    }
+
+    /// The pixel of this index, linear.
+    #[inline]
+    pub(crate) fn texel(&self, image: &Image, i: usize) -> Vec3 {
         let decode = |byte: u8, srgb: bool| if srgb { self.srgb[byte as usize] } else { f32::from(byte) / 255.0 };
         match &image.texels {
             Texels::Grey8 { srgb, data } => Vec3::splat(decode(data[i], *srgb)),
@@ -82,6 +107,19 @@ impl Textures {
             }
         }
     }
+}
+
+/// Four texels, and where between them a position lies.
+struct Cell {
+    upper: [Vec3; 2],
+    lower: [Vec3; 2],
+    at: Vec2,
+}
+
+/// Luminance of linear sRGB, with Mitsuba's weights.
+#[inline]
+pub fn luminance(rgb: Vec3) -> f32 {
+    rgb.dot(Vec3::new(0.212_671, 0.715_160, 0.072_169))
 }
 
 /// A texel coordinate brought into 0..size. What is not finite becomes 0.

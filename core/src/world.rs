@@ -26,7 +26,7 @@ impl World {
         let textures = Textures::new(scene);
         let geometry = Geometry::new(scene, &Lights::first_of_shapes(scene));
         let lights = Lights::new(scene, &geometry, &textures);
-        let materials = Materials::new(&scene.bsdfs, &scene.shapes);
+        let materials = Materials::new(scene);
         Self { geometry, materials, textures, lights, sensor: scene.sensor.clone() }
     }
 }

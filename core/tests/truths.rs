@@ -8,7 +8,8 @@ use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::{self, Film};
 use tilecast_core::scene::{
-    Bsdf, BsdfId, Emitter, FovAxis, Geometry, Mesh, MeshId, Scene, Sensor, Shape, Texture, TextureId,
+    Bsdf, BsdfId, Distribution, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels,
+    Texture, TextureId,
 };
 use tilecast_core::settings::{
     Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window,
@@ -27,6 +28,7 @@ fn camera(from: Vec3, x: Vec3, y: Vec3, z: Vec3) -> Sensor {
         principal_point_offset: [0.0; 2],
         near_clip: 1e-3,
         far_clip: 1e4,
+        lens: None,
     }
 }
 
@@ -131,6 +133,63 @@ fn a_plane_under_the_sky_shows_its_albedo() {
     }
 }
 
+/// A plane under a sky with a few suns: light sampling, alone and with its density compensated, agrees with cosine
+/// sampling, which knows nothing of the image.
+#[test]
+fn an_environment_lights_alike_under_every_strategy() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let mut sky = scene(camera(Vec3::Z * 2.0, Vec3::X, -Vec3::Y, -Vec3::Z), 0.6, vec![shape(plane, false)]);
+    let texel = |i: u32| if i % 149 == 3 { 90.0 } else { 0.1 * (i % 5) as f32 };
+    let texels = Texels::Rgb32((0..64 * 32).flat_map(|i| [texel(i); 3]).collect());
+    sky.images.push(Arc::new(Image { width: 64, height: 32, texels }));
+    let to_world = Mat3::from_axis_angle(Vec3::new(0.6, 0.0, 0.8), 1.0);
+    sky.emitters.push(Emitter::Envmap { image: ImageId(0), scale: 0.5, to_world });
+    let (truth, allowed) = mean_and_error(&render(&sky, &settings(16, 1024, Strategy::Cosine)));
+    for strategy in [Strategy::Light, Strategy::Mis] {
+        let (mean, error) = mean_and_error(&render(&sky, &settings(16, 64, strategy)));
+        assert!(
+            (mean - truth).abs() < 4.0 * (error + allowed),
+            "{strategy:?}: {mean} ± {error} for {truth} ± {allowed}"
+        );
+        // Cosine sampling would have four times the error that it has with sixteen times the samples.
+        assert!(error < 2.0 * allowed, "{strategy:?}: error {error} against {allowed}");
+    }
+}
+
+/// A field of small lamps over a plane, some dark, one bright: chosen by the tree they light it as cosine sampling finds them,
+/// which knows of no light.
+#[test]
+fn many_lights_light_as_brute_force_says() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let mut lit = scene(camera(Vec3::Z * 0.9, Vec3::X, -Vec3::Y, -Vec3::Z), 0.5, vec![shape(plane, false)]);
+    lit.textures.extend([Texture::Constant(Vec3::ZERO), Texture::Constant(Vec3::splat(20.0))]);
+    let mut lamps = [Mesh::default(), Mesh::default(), Mesh::default()];
+    for i in 0..64u32 {
+        let kind = if i == 27 { 2 } else { (i % 5 == 0) as usize };
+        let at = Vec3::new((i % 8) as f32 - 3.5, (i / 8) as f32 - 3.5, 1.0 + (i % 3) as f32 * 0.3);
+        let first = lamps[kind].positions.len() as u32;
+        let tilt = Vec3::new(0.0, 0.0, 0.2 * (i % 4) as f32);
+        lamps[kind].positions.extend([at, at + Vec3::Y * 0.5 + tilt, at + Vec3::X * 0.5]);
+        lamps[kind].triangles.push([first, first + 1, first + 2]);
+    }
+    for (i, mesh) in lamps.into_iter().enumerate() {
+        let radiance = Some(TextureId(i as u32 + 1));
+        lit.meshes.push(Arc::new(mesh));
+        lit.shapes.push(Shape { radiance, ..shape(Geometry::Mesh(MeshId(i as u32)), true) });
+    }
+    let mut direct = settings(16, 1 << 12, Strategy::Cosine);
+    direct.integrator.kind = IntegratorKind::Direct;
+    let (truth, allowed) = mean_and_error(&render(&lit, &direct));
+    for strategy in [Strategy::Light, Strategy::Mis] {
+        let (mean, error) = mean_and_error(&render(&lit, &Settings { spp: 256, strategy, ..direct.clone() }));
+        assert!(
+            (mean - truth).abs() < 4.0 * (error + allowed),
+            "{strategy:?}: {mean} ± {error} for {truth} ± {allowed}"
+        );
+        assert!(error + allowed < 0.005 * truth, "{strategy:?}: ± {error} for {truth} ± {allowed}");
+    }
+}
+
 /// Irradiance I cos θ / d² from a point light, E cos θ from parallel light, times albedo/π; depth 2 is direct light.
 #[test]
 fn delta_lights_have_their_formulas() {
@@ -177,5 +236,61 @@ fn area_lights_have_their_form_factors() {
             // The lit surface's own albedo/π · π L F; three degrees of freedom make the bars wide.
             assert!((mean - truth).abs() < 9.0 * error + 1e-5, "{strategy:?}: {mean} ± {error} for {truth}");
         }
+    }
+}
+
+/// Every strategy sees the same light on a material that is part mirror, and through one that is part window: uniform and
+/// cosine directions must reach the other side of rough glass, and must not take plastic's mirror from it.
+#[test]
+fn strategies_agree_on_mirrors_under_plastic_and_on_rough_glass() {
+    let sensor = camera(Vec3::new(0.0, 1.0, 3.0), Vec3::X, -Vec3::Y, -Vec3::Z);
+    let (half, one) = (TextureId(0), TextureId(1));
+    let plastic = Bsdf::Plastic { eta: 1.5, nonlinear: false, diffuse_reflectance: half, specular_reflectance: one };
+    let glass = Bsdf::RoughDielectric {
+        distribution: Distribution::Ggx,
+        alpha_u: half,
+        alpha_v: half,
+        eta: 1.5,
+        specular_reflectance: one,
+        specular_transmittance: one,
+    };
+    for (name, bsdf) in [("plastic", plastic), ("rough glass", glass)] {
+        let sphere = Geometry::Sphere { to_world: Affine3::IDENTITY, flip_normals: false };
+        let mut lit = scene(sensor.clone(), 0.5, vec![shape(sphere, false)]);
+        lit.bsdfs = vec![bsdf];
+        lit.emitters.push(Emitter::Constant { radiance: Vec3::ONE });
+        // Many uniform directions in a row would make rare, bright paths: the variance of their products grows without bound.
+        let render = |strategy| {
+            let mut settings = settings(16, 1024, strategy);
+            settings.integrator.max_depth = Some(3);
+            mean_and_error(&render(&lit, &settings))
+        };
+        let (truth, its_error) = render(Strategy::Mis);
+        for strategy in ALL_STRATEGIES {
+            let (mean, error) = render(strategy);
+            let together = (error * error + its_error * its_error).sqrt();
+            assert!((mean - truth).abs() < 4.0 * together, "{name} {strategy:?}: {mean} ± {error} for {truth}");
+            assert!(error < 0.02 * truth, "{name} {strategy:?}: error {error} is too large to tell");
+        }
+    }
+}
+
+/// A small sphere light far away: L (r/d)² times the albedo. Fails if the light casts a shadow on itself by rounding.
+#[test]
+fn a_small_far_light_does_not_shade_itself() {
+    let (radius, below) = (0.01f32, Vec3::new(3.1, 2.3, 0.0));
+    let affine = |scale: f32, at: Vec3| Affine3::from_translation(at) * Affine3::from_scale(Vec3::splat(scale));
+    let plane = Geometry::Disk { to_world: affine(50.0, Vec3::ZERO), flip_normals: false };
+    for distance in [2.0, 5.0, 11.0] {
+        let lamp = Geometry::Sphere { to_world: affine(radius, below + Vec3::Z * distance), flip_normals: false };
+        let sensor = camera(below + Vec3::Z * 0.5, Vec3::X, -Vec3::Y, -Vec3::Z);
+        let lit = scene(sensor, 0.5, vec![shape(plane.clone(), false), shape(lamp, true)]);
+        let mut one = settings(1, 1 << 10, Strategy::Light);
+        one.film =
+            FilmSettings { width: 1001, height: 1001, crop: Window { x0: 500, y0: 500, x1: 501, y1: 501 }, ..one.film };
+        let mean = f64::from(render(&lit, &one).estimate(500, 500).mean[0]);
+        let truth = 0.5 * f64::from(radius / distance).powi(2);
+        // The pixel is a thousandth of the distance wide; every sample has the same value.
+        assert!((mean / truth - 1.0).abs() < 1e-3, "{distance}: {mean} for {truth}");
     }
 }

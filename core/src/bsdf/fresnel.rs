@@ -50,6 +50,19 @@ pub fn conductor(cos_theta: f32, eta: Vec3, k: Vec3) -> Vec3 {
     0.5 * (perpendicular + perpendicular * (t3 - t4) / (t3 + t4))
 }
 
+/// Share of uniform diffuse light that a dielectric interface with this relative index reflects: the fits by Egan & Hilgeman
+/// 1973 (below one) and d'Eon & Irving 2011 (above), as Mitsuba takes them.
+#[inline]
+pub fn diffuse_reflectance(eta: f32) -> f32 {
+    let inverse = 1.0 / eta;
+    if eta < 1.0 {
+        0.0636 * inverse + 0.6681 + eta * (0.7099 - 1.4399 * eta)
+    } else {
+        const FIT: [f32; 6] = [-1.36881, 4.98554, -7.80989, 6.75335, -3.4793, 0.919317];
+        FIT.iter().fold(0.0, |sum, c| sum * inverse + c)
+    }
+}
+
 #[inline]
 fn sqrt(v: Vec3) -> Vec3 {
     Vec3::new(v.x.max(0.0).sqrt(), v.y.max(0.0).sqrt(), v.z.max(0.0).sqrt())

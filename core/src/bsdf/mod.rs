@@ -4,30 +4,63 @@
 //! A [`Closure`] is a model with its parameters looked up at one hit. What composes models (two sides, masks) is decided
 //! before, in [`crate::shading`], so a closure is never nested.
 
+mod beckmann;
 mod conductor;
 mod dielectric;
 mod diffuse;
+mod disney;
 mod fresnel;
+mod microfacet;
 mod phong;
+mod plastic;
+mod principled;
+mod principledthin;
+mod roughconductor;
+mod roughdielectric;
+mod roughplastic;
+mod thindielectric;
 
 pub use conductor::Conductor;
 pub use dielectric::Dielectric;
 pub use diffuse::Diffuse;
+pub use disney::alphas;
+pub use microfacet::Microfacet;
 pub use phong::Phong;
+pub use plastic::Plastic;
+pub use principled::Principled;
+pub use principledthin::PrincipledThin;
+pub use roughconductor::RoughConductor;
+pub use roughdielectric::RoughDielectric;
+pub use roughplastic::{RoughCoat, RoughPlastic};
+pub use thindielectric::ThinDielectric;
 
 use glam::{Vec2, Vec3};
 
-/// A scattering model at a hit.
+/// A scattering model at a hit. It borrows what is tabulated once a material.
 #[derive(Clone, Copy, Debug)]
-pub enum Closure {
+pub enum Closure<'a> {
     /// Lambert's.
     Diffuse(Diffuse),
     /// Smooth metal.
     Conductor(Conductor),
+    /// Rough metal.
+    RoughConductor(RoughConductor),
     /// Smooth glass.
     Dielectric(Dielectric),
+    /// Rough glass.
+    RoughDielectric(RoughDielectric),
+    /// A pane of smooth glass.
+    ThinDielectric(ThinDielectric),
+    /// Lambert under a smooth coat.
+    Plastic(Plastic),
+    /// Lambert under a rough coat.
+    RoughPlastic(RoughPlastic<'a>),
     /// Lambert and a cosine lobe.
     Phong(Phong),
+    /// Burley's.
+    Principled(Principled),
+    /// Burley's for thin sheets.
+    PrincipledThin(PrincipledThin),
     /// Nothing there: light goes straight through.
     Null,
 }
@@ -62,13 +95,33 @@ impl Sample {
     }
 }
 
-impl Closure {
+impl Closure<'_> {
     /// Scatters into finitely many directions only.
     #[inline]
     pub fn is_delta(&self) -> bool {
+        use Closure::{Conductor, Dielectric, Null, ThinDielectric};
+        matches!(self, Conductor(_) | Dielectric(_) | ThinDielectric(_) | Null)
+    }
+
+    /// The share of numbers `lobe`, from zero on, for which [`Closure::sample`] chooses one of finitely many directions:
+    /// all for a mirror, those of its coat for smooth plastic.
+    #[inline]
+    pub fn delta_share(&self, wo: Vec3) -> f32 {
         match self {
-            Closure::Diffuse(_) | Closure::Phong(_) => false,
-            Closure::Conductor(_) | Closure::Dielectric(_) | Closure::Null => true,
+            Closure::Plastic(model) => model.mirror_share(wo),
+            Closure::RoughDielectric(model) if model.is_straight() => 1.0,
+            _ if self.is_delta() => 1.0,
+            _ => 0.0,
+        }
+    }
+
+    /// [`Closure::eval`] may be positive for directions on opposite sides.
+    #[inline]
+    pub fn transmits(&self) -> bool {
+        match self {
+            Closure::RoughDielectric(_) | Closure::PrincipledThin(_) => true,
+            Closure::Principled(model) => model.transmits(),
+            _ => false,
         }
     }
 
@@ -77,8 +130,16 @@ impl Closure {
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         match self {
             Closure::Diffuse(model) => model.eval(wo, wi),
+            Closure::RoughConductor(model) => model.eval(wo, wi),
+            Closure::RoughDielectric(model) => model.eval(wo, wi),
+            Closure::Plastic(model) => model.eval(wo, wi),
+            Closure::RoughPlastic(model) => model.eval(wo, wi),
             Closure::Phong(model) => model.eval(wo, wi),
-            Closure::Conductor(_) | Closure::Dielectric(_) | Closure::Null => Evaluation::default(),
+            Closure::Principled(model) => model.eval(wo, wi),
+            Closure::PrincipledThin(model) => model.eval(wo, wi),
+            Closure::Conductor(_) | Closure::Dielectric(_) | Closure::ThinDielectric(_) | Closure::Null => {
+                Evaluation::default()
+            }
         }
     }
 
@@ -88,8 +149,15 @@ impl Closure {
         match self {
             Closure::Diffuse(model) => model.sample(wo, u),
             Closure::Conductor(model) => model.sample(wo),
+            Closure::RoughConductor(model) => model.sample(wo, u),
             Closure::Dielectric(model) => model.sample(wo, lobe),
+            Closure::RoughDielectric(model) => model.sample(wo, lobe, u),
+            Closure::ThinDielectric(model) => model.sample(wo, lobe),
+            Closure::Plastic(model) => model.sample(wo, lobe, u),
+            Closure::RoughPlastic(model) => model.sample(wo, lobe, u),
             Closure::Phong(model) => model.sample(wo, lobe, u),
+            Closure::Principled(model) => model.sample(wo, lobe, u),
+            Closure::PrincipledThin(model) => model.sample(wo, lobe, u),
             Closure::Null => Some(Sample { wi: -wo, weight: Vec3::ONE, pdf: f32::INFINITY, eta: 1.0 }),
         }
     }

@@ -5,13 +5,13 @@
 
 use super::error::{LoadError, Place, Result};
 use super::folder::{Folder, IMAGE_BYTES_MAX, MESH_BYTES_MAX};
-use super::mesh::{self, FileMesh, Placement, obj, ply};
-use super::placed::{PlacedEmitter, PlacedGeometry, PlacedSensor, PlacedShape, to_f32};
+use super::mesh::{self, FileMesh, Placement, obj, ply, serialized};
+use super::placed::{PlacedEmitter, PlacedGeometry, PlacedSensor, PlacedShape, moved};
 use super::{Loaded, Note, image};
 use crate::film::scale_exponent;
 use crate::scene::{Bsdf, BsdfId, Geometry, Image, ImageId, Mesh, MeshId, Scene, Shape, Texture, TextureId};
 use crate::settings::Settings;
-use glam::{DAffine3, DVec3};
+use glam::DVec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -51,6 +51,10 @@ struct PlacedMesh {
 pub(crate) enum MeshFormat {
     Obj,
     Ply,
+    /// One mesh of a file of several.
+    Serialized {
+        shape_index: u32,
+    },
 }
 
 struct MeshFile {
@@ -103,6 +107,10 @@ impl Assembly {
     pub fn texture(&mut self, texture: Texture) -> TextureId {
         self.textures.push(texture);
         TextureId(index(self.textures.len() - 1))
+    }
+
+    pub fn texture_of(&self, id: TextureId) -> Option<&Texture> {
+        self.textures.get(id.0 as usize)
     }
 
     pub fn bsdf(&mut self, bsdf: Bsdf) -> BsdfId {
@@ -170,13 +178,21 @@ impl Assembly {
             meshes.push(Arc::new(mesh));
         }
         let sensor = sensor(bounds);
+        let aspect = |id: TextureId| match self.textures.get(id.0 as usize) {
+            Some(Texture::Bitmap { image, .. }) => {
+                let image = &images[image.0 as usize];
+                image.width as f32 / image.height as f32
+            }
+            _ => 1.0,
+        };
+        let emitters = self.emitters.iter().map(|emitter| emitter.to_scene(origin, aspect)).collect();
         let (shapes, meshes) = self.shapes_and_meshes(meshes, origin);
         let scene = Scene {
             sensor: sensor.to_scene(origin),
             shapes,
             bsdfs: self.bsdfs,
             textures: self.textures,
-            emitters: self.emitters.iter().map(|emitter| emitter.to_scene(origin)).collect(),
+            emitters,
             meshes,
             images: images.into_iter().map(Arc::new).collect(),
             origin: origin.to_array(),
@@ -193,6 +209,10 @@ impl Assembly {
             let name = self.folder.name_of(&file.path);
             let mesh = match file.format {
                 MeshFormat::Ply => ply::parse(&name, &bytes)?,
+                MeshFormat::Serialized { shape_index } => {
+                    let fail = |message: String| LoadError::at(file.place.clone(), format!("'{name}' {message}"));
+                    serialized::parse(&bytes, shape_index).map_err(fail)?
+                }
                 MeshFormat::Obj => {
                     let file = obj::parse(&name, &bytes)?;
                     drop(bytes);
@@ -244,7 +264,6 @@ impl Assembly {
         let mut ids = vec![None; meshes.len()];
         let mut shapes = Vec::new();
         for shape in std::mem::take(&mut self.shapes) {
-            let affine = |to_world: &DAffine3| to_f32(&(DAffine3::from_translation(-origin) * *to_world));
             let geometry = match &shape.geometry {
                 PlacedGeometry::Mesh(i) if meshes[*i].triangles.is_empty() => {
                     let text = format!("shape '{}' has no triangle with an area and is left out", shape.name);
@@ -256,10 +275,10 @@ impl Assembly {
                     MeshId(index(kept.len() - 1))
                 })),
                 PlacedGeometry::Sphere { to_world, flip_normals } => {
-                    Geometry::Sphere { to_world: affine(to_world), flip_normals: *flip_normals }
+                    Geometry::Sphere { to_world: moved(to_world, origin), flip_normals: *flip_normals }
                 }
                 PlacedGeometry::Disk { to_world, flip_normals } => {
-                    Geometry::Disk { to_world: affine(to_world), flip_normals: *flip_normals }
+                    Geometry::Disk { to_world: moved(to_world, origin), flip_normals: *flip_normals }
                 }
             };
             shapes.push(Shape { name: shape.name, geometry, bsdf: shape.bsdf, radiance: shape.radiance });

@@ -1,7 +1,8 @@
 //! Shapes, emitters and sensors in f64 world space, before the scene has its origin.
 
-use crate::scene::{BsdfId, Emitter, FovAxis, Sensor, TextureId};
-use glam::{Affine3, DAffine3, DVec3, Vec3};
+use crate::camera::half_width_tangent;
+use crate::scene::{BsdfId, Emitter, FovAxis, ImageId, Lens, Sensor, TextureId};
+use glam::{Affine3, DAffine3, DMat3, DVec3, Vec3};
 
 /// A [`crate::scene::Shape`] in world space.
 pub(crate) struct PlacedShape {
@@ -43,17 +44,59 @@ impl PlacedGeometry {
 
 /// An [`Emitter`] in world space.
 pub(crate) enum PlacedEmitter {
-    Constant { radiance: Vec3 },
-    Point { position: DVec3, intensity: Vec3 },
-    Directional { direction: DVec3, irradiance: Vec3 },
+    Constant {
+        radiance: Vec3,
+    },
+    Envmap {
+        image: ImageId,
+        scale: f32,
+        to_world: DMat3,
+    },
+    Point {
+        position: DVec3,
+        intensity: Vec3,
+    },
+    Spot {
+        to_world: DAffine3,
+        intensity: Vec3,
+        cutoff_degrees: f32,
+        beam_width_degrees: f32,
+        texture: Option<TextureId>,
+    },
+    /// Its image's height follows from the image.
+    Projector {
+        to_world: DAffine3,
+        irradiance: TextureId,
+        scale: f32,
+        fov_degrees: f32,
+        fov_axis: FovAxis,
+    },
+    Directional {
+        direction: DVec3,
+        irradiance: Vec3,
+    },
 }
 
 impl PlacedEmitter {
-    pub fn to_scene(&self, origin: DVec3) -> Emitter {
+    /// `aspect` is a texture's width over its height.
+    pub fn to_scene(&self, origin: DVec3, aspect: impl Fn(TextureId) -> f32) -> Emitter {
         match *self {
             PlacedEmitter::Constant { radiance } => Emitter::Constant { radiance },
+            PlacedEmitter::Envmap { image, scale, ref to_world } => {
+                Emitter::Envmap { image, scale, to_world: to_world.as_mat3() }
+            }
             PlacedEmitter::Point { position, intensity } => {
                 Emitter::Point { position: (position - origin).as_vec3(), intensity }
+            }
+            PlacedEmitter::Spot { ref to_world, intensity, cutoff_degrees, beam_width_degrees, texture } => {
+                let to_world = moved(to_world, origin);
+                Emitter::Spot { to_world, intensity, cutoff_degrees, beam_width_degrees, texture }
+            }
+            PlacedEmitter::Projector { ref to_world, irradiance, scale, fov_degrees, fov_axis } => {
+                let aspect = aspect(irradiance);
+                let half_width = half_width_tangent(fov_degrees, fov_axis, aspect, 1.0);
+                let half_extent = [half_width, half_width / aspect];
+                Emitter::Projector { to_world: moved(to_world, origin), irradiance, scale, half_extent }
             }
             PlacedEmitter::Directional { direction, irradiance } => {
                 Emitter::Directional { direction: direction.normalize().as_vec3(), irradiance }
@@ -65,29 +108,40 @@ impl PlacedEmitter {
 /// A [`Sensor`] in world space.
 pub(crate) struct PlacedSensor {
     pub to_world: DAffine3,
-    pub fov_degrees: f64,
-    pub fov_axis: FovAxis,
-    pub principal_point_offset: [f64; 2],
+    pub projection: Projection,
     pub near_clip: f64,
     pub far_clip: f64,
 }
 
+/// How a sensor's rays spread.
+pub(crate) enum Projection {
+    Perspective { fov_degrees: f64, fov_axis: FovAxis, principal_point_offset: [f64; 2], lens: Option<Lens> },
+    Orthographic,
+}
+
 impl PlacedSensor {
     pub fn to_scene(&self, origin: DVec3) -> Sensor {
-        Sensor::Perspective {
-            to_world: to_f32(&(DAffine3::from_translation(-origin) * self.to_world)),
-            fov_degrees: self.fov_degrees as f32,
-            fov_axis: self.fov_axis,
-            principal_point_offset: self.principal_point_offset.map(|x| x as f32),
-            near_clip: self.near_clip as f32,
-            far_clip: self.far_clip as f32,
+        let to_world = moved(&self.to_world, origin);
+        let (near_clip, far_clip) = (self.near_clip as f32, self.far_clip as f32);
+        match self.projection {
+            Projection::Perspective { fov_degrees, fov_axis, principal_point_offset, lens } => Sensor::Perspective {
+                to_world,
+                fov_degrees: fov_degrees as f32,
+                fov_axis,
+                principal_point_offset: principal_point_offset.map(|x| x as f32),
+                near_clip,
+                far_clip,
+                lens,
+            },
+            Projection::Orthographic => Sensor::Orthographic { to_world, near_clip, far_clip },
         }
     }
 }
 
-/// Rounds every number.
-pub(crate) fn to_f32(transform: &DAffine3) -> Affine3 {
-    Affine3::from_mat3_translation(transform.matrix3.as_mat3(), transform.translation.as_vec3())
+/// A transformation to world space as one to the scene's coordinates.
+pub(crate) fn moved(to_world: &DAffine3, origin: DVec3) -> Affine3 {
+    let m = to_world.matrix3;
+    Affine3::from_mat3_translation(m.as_mat3(), (to_world.translation - origin).as_vec3())
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use super::{Emitter, Geometry, Image, Scene, Texels, Texture, TextureId};
 use glam::Vec3;
+use std::f32::consts::PI;
 
 /// Points of light have no largest radiance; it is taken at this fraction of the scene's radius from them.
 const POINT_DISTANCE: f32 = 1e-3;
@@ -29,13 +30,21 @@ impl Scene {
     }
 
     /// The largest radiance a light of this scene sends out, from which the film's scale follows
-    /// ([`crate::film::scale_exponent`]). For point lights it is taken at a thousandth of the scene's radius.
+    /// ([`crate::film::scale_exponent`]). For lights at a point it is taken at a thousandth of the scene's radius.
     pub fn brightest_radiance(&self) -> f32 {
         let radius = self.bounds().map_or(1.0, |(min, max)| 0.5 * (max - min).length());
         let distance = if radius > 0.0 { POINT_DISTANCE * radius } else { 1.0 };
         let of_emitters = self.emitters.iter().map(|emitter| match emitter {
             Emitter::Constant { radiance } => radiance.max_element(),
+            Emitter::Envmap { image, scale, .. } => self.images[image.0 as usize].largest_value() * scale,
             Emitter::Point { intensity, .. } => intensity.max_element() / (distance * distance),
+            Emitter::Spot { intensity, texture, .. } => {
+                let factor = texture.map_or(1.0, |id| self.largest_value(id));
+                factor * intensity.max_element() / (distance * distance)
+            }
+            Emitter::Projector { irradiance, scale, .. } => {
+                PI * scale * self.largest_value(*irradiance) / (distance * distance)
+            }
             Emitter::Directional { irradiance, .. } => irradiance.max_element(),
         });
         let of_shapes = self.shapes.iter().filter_map(|shape| shape.radiance).map(|id| self.largest_value(id));

@@ -14,9 +14,9 @@ mod texture;
 mod validate;
 
 pub use blobs::{BlobError, Digest, SceneBlobs};
-pub use bsdf::{Bsdf, BsdfId};
+pub use bsdf::{Bend, Bsdf, BsdfId, Distribution};
 pub use emitter::Emitter;
-pub use sensor::{FovAxis, Sensor};
+pub use sensor::{FovAxis, Lens, Sensor};
 pub use shape::{Geometry, Mesh, MeshId, Shape};
 pub use texture::{FilterType, Image, ImageId, Texels, Texture, TextureId, WrapMode};
 pub use validate::SceneError;
@@ -46,4 +46,30 @@ pub struct Scene {
     pub images: Vec<Arc<Image>>,
     /// The point of the file's world space, in its units, that lies at the zero of this scene's coordinates.
     pub origin: [f64; 3],
+}
+
+#[cfg(test)]
+impl Scene {
+    /// A camera and nothing before it, for tests to fill.
+    pub(crate) fn empty() -> Self {
+        let sensor = Sensor::Perspective {
+            to_world: glam::Affine3::IDENTITY,
+            fov_degrees: 40.0,
+            fov_axis: FovAxis::X,
+            principal_point_offset: [0.0; 2],
+            near_clip: 0.01,
+            far_clip: 1e4,
+            lens: None,
+        };
+        Self {
+            sensor,
+            shapes: Vec::new(),
+            bsdfs: Vec::new(),
+            textures: Vec::new(),
+            emitters: Vec::new(),
+            meshes: Vec::new(),
+            images: Vec::new(),
+            origin: [0.0; 3],
+        }
+    }
 }

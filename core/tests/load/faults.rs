@@ -3,7 +3,7 @@
 use crate::{TRIANGLE_OBJ, error_of, load_files, load_with, write_files};
 
 /// Asserts that a scene of `inside` fails at line:column with a message that has all of `parts`.
-fn fails(inside: &str, at: &str, parts: &[&str]) {
+pub fn fails(inside: &str, at: &str, parts: &[&str]) {
     let message = error_of(inside);
     assert!(message.starts_with(&format!("a.xml:{at}: ")), "not at {at}: {message}");
     for part in parts {
@@ -65,10 +65,10 @@ fn unknown_plugins_and_those_not_supported_yet() {
         "2:14",
         &["no shape is called 'sphre'", "did you mean 'sphere'?", "there are obj, ply"],
     );
-    let rough = "<shape type='disk'>\n<bsdf type='roughplastic'/></shape>";
-    fails(rough, "3:13", &["Mitsuba's bsdf 'roughplastic' is not supported yet; there are diffuse"]);
+    let hair = "<shape type='disk'>\n<bsdf type='hair'/></shape>";
+    fails(hair, "3:13", &["Mitsuba's bsdf 'hair' is not supported yet; there are diffuse"]);
     fails("<integrator type='volpath'/>", "2:19", &["Mitsuba's integrator 'volpath' is not supported yet"]);
-    fails("<emitter type='envmap'/>", "2:16", &["Mitsuba's emitter 'envmap' is not supported yet"]);
+    fails("<emitter type='sunsky'/>", "2:16", &["Mitsuba's emitter 'sunsky' is not supported yet"]);
 }
 
 #[test]

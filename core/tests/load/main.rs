@@ -2,8 +2,10 @@
 
 #![allow(clippy::unwrap_used)] // in helpers too: a test that cannot write its files has failed
 
+mod bsdfs;
 mod faults;
 mod hostile;
+mod lights_and_cameras;
 mod mitsuba;
 mod obj;
 

@@ -5,6 +5,7 @@
 pub(crate) mod obj;
 pub(crate) mod ply;
 pub(crate) mod primitives;
+pub(crate) mod serialized;
 
 use crate::scene::Mesh;
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};

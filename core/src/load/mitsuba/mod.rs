@@ -8,12 +8,14 @@ mod cie;
 mod document;
 mod element;
 mod emitters;
+mod films;
 mod integrator;
 mod materials;
 mod plugins;
 mod properties;
-mod sensor_film;
+mod sensors;
 mod shapes;
+mod spectra;
 pub(crate) mod spectrum;
 mod substitute;
 mod textures;
@@ -98,7 +100,7 @@ impl Loader<'_> {
         self.note_unused();
         let settings = integrator.settings(view.film, view.spp);
         let sensor = view.sensor;
-        self.assembly.finish(|bounds| sensor.unwrap_or_else(|| sensor_film::default_sensor(bounds)), settings)
+        self.assembly.finish(|bounds| sensor.unwrap_or_else(|| sensors::default_sensor(bounds)), settings)
     }
 
     /// The path within the scene's folder of a file that a property names, where Mitsuba would look for it.

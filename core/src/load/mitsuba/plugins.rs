@@ -5,7 +5,7 @@
 
 use super::document::Tag;
 use super::properties::Properties;
-use super::{Loader, bsdfs, emitters, integrator, sensor_film, shapes, textures};
+use super::{Loader, bsdfs, emitters, films, integrator, sensors, shapes, spectra, textures};
 use crate::load::error::{Result, did_you_mean};
 use crate::load::placed::{PlacedEmitter, PlacedSensor};
 use crate::scene::{BsdfId, TextureId};
@@ -126,9 +126,9 @@ pub(crate) const fn child(tag: Tag, doc: &'static str) -> Parameter {
 
 /// Every plugin, family by family.
 pub fn plugins() -> impl Iterator<Item = &'static Plugin> {
-    [shapes::PLUGINS, bsdfs::PLUGINS, textures::PLUGINS, emitters::PLUGINS, sensor_film::PLUGINS, integrator::PLUGINS]
-        .into_iter()
-        .flatten()
+    let others =
+        [textures::PLUGINS, spectra::PLUGINS, emitters::PLUGINS, sensors::PLUGINS, films::PLUGINS, integrator::PLUGINS];
+    [shapes::PLUGINS].into_iter().chain(bsdfs::PLUGINS).chain(others).flatten()
 }
 
 /// Plugins that Mitsuba has and tilecast does not have yet.
@@ -144,41 +144,14 @@ const MISSING: &[(Tag, &[&str])] = &[
             "linearcurve",
             "merge",
             "sdfgrid",
-            "serialized",
             "shapegroup",
         ],
     ),
-    (
-        Tag::Bsdf,
-        &[
-            "blendbsdf",
-            "bumpmap",
-            "circular",
-            "hair",
-            "measured",
-            "measured_polarized",
-            "normalmap",
-            "null",
-            "plastic",
-            "polarizer",
-            "pplastic",
-            "principled",
-            "principledthin",
-            "retarder",
-            "roughconductor",
-            "roughdielectric",
-            "roughplastic",
-            "thindielectric",
-        ],
-    ),
-    (
-        Tag::Texture,
-        &["blackbody", "d65", "irregular", "mesh_attribute", "rawconstant", "regular", "srgb", "uniform", "volume"],
-    ),
-    (Tag::Emitter, &["directionalarea", "envmap", "projector", "spot", "sunsky", "timed_sunsky"]),
-    (Tag::Sensor, &["batch", "distant", "irradiancemeter", "orthographic", "radiancemeter", "thinlens"]),
+    (Tag::Bsdf, &["circular", "hair", "measured", "measured_polarized", "polarizer", "pplastic", "retarder"]),
+    (Tag::Texture, &["mesh_attribute", "volume"]),
+    (Tag::Emitter, &["directionalarea", "sunsky", "timed_sunsky"]),
+    (Tag::Sensor, &["batch", "distant", "irradiancemeter", "radiancemeter"]),
     (Tag::Film, &["specfilm"]),
-    (Tag::Rfilter, &["catmullrom", "lanczos", "mitchell"]),
     (
         Tag::Integrator,
         &["aov", "depth", "moment", "prb", "prb_basic", "prbvolpath", "ptracer", "stokes", "volpath", "volpathmis"],

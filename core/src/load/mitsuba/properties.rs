@@ -136,7 +136,8 @@ impl<'a> Properties<'a> {
         }
     }
 
-    fn missing(&self, name: &str) -> LoadError {
+    /// An error about a parameter that must be given.
+    pub fn missing(&self, name: &str) -> LoadError {
         let takes = self.takes(name).describe();
         let message = format!("{} needs the parameter '{name}' ({takes})", self.object.describe());
         self.error(&self.object.span, message)
@@ -194,6 +195,11 @@ impl<'a> Properties<'a> {
             Some(Value::Text(text)) => Some(text),
             _ => None,
         }
+    }
+
+    /// A text that must be given.
+    pub fn required_text(&self, name: &str) -> Result<&'a str> {
+        self.text(name).ok_or_else(|| self.missing(name))
     }
 
     /// The index of a word in its parameter's list.
@@ -266,7 +272,7 @@ fn accepts(takes: Takes, value: &Value, child: Option<Tag>) -> bool {
 }
 
 fn accepts_tag(takes: Takes, tag: Tag) -> bool {
-    matches!(takes, Takes::Texture(..)) && tag == Tag::Texture
+    matches!(takes, Takes::Colour(..) | Takes::Texture(..)) && tag == Tag::Texture
 }
 
 impl Takes {

@@ -53,6 +53,21 @@ pub(crate) const PLUGINS: &[Plugin] = &[
         build: Build::Shape(ply),
     },
     Plugin {
+        name: "serialized",
+        doc: "A mesh of a file of Mitsuba's own format.",
+        parameters: &[
+            FILENAME,
+            parameter("shape_index", Takes::Integer(Some(0)), "Which of the file's meshes."),
+            TO_WORLD,
+            FACE_NORMALS,
+            FLIP_NORMALS,
+            BSDF,
+            EMITTER,
+            SILHOUETTE,
+        ],
+        build: Build::Shape(serialized),
+    },
+    Plugin {
         name: "rectangle",
         doc: "The square from (-1, -1, 0) to (1, 1, 0), normal +z.",
         parameters: &[TO_WORLD, FACE_NORMALS, FLIP_NORMALS, BSDF, EMITTER, SILHOUETTE],
@@ -114,12 +129,11 @@ impl Loader<'_> {
         Ok(())
     }
 
-    fn mesh_file(&mut self, properties: &Properties, format: MeshFormat) -> Result<()> {
+    fn mesh_file(&mut self, properties: &Properties, format: MeshFormat, flip_v: bool) -> Result<()> {
         let (name, span) = properties.file("filename")?;
         let path = self.locate(name, span)?;
         let source = self.assembly.mesh_file(path, format, self.document.place(span));
-        let placement = Placement { flip_v: properties.boolean("flip_tex_coords"), ..placement(properties)? };
-        let geometry = self.assembly.mesh(source, placement);
+        let geometry = self.assembly.mesh(source, Placement { flip_v, ..placement(properties)? });
         self.add(properties, Some(name), geometry)
     }
 }
@@ -134,11 +148,16 @@ fn placement(properties: &Properties) -> Result<Placement> {
 }
 
 fn obj(loader: &mut Loader, properties: &Properties) -> Result<()> {
-    loader.mesh_file(properties, MeshFormat::Obj)
+    loader.mesh_file(properties, MeshFormat::Obj, properties.boolean("flip_tex_coords"))
 }
 
 fn ply(loader: &mut Loader, properties: &Properties) -> Result<()> {
-    loader.mesh_file(properties, MeshFormat::Ply)
+    loader.mesh_file(properties, MeshFormat::Ply, properties.boolean("flip_tex_coords"))
+}
+
+fn serialized(loader: &mut Loader, properties: &Properties) -> Result<()> {
+    let shape_index = properties.count("shape_index", 0)?;
+    loader.mesh_file(properties, MeshFormat::Serialized { shape_index }, false)
 }
 
 fn rectangle(loader: &mut Loader, properties: &Properties) -> Result<()> {
@@ -176,7 +195,7 @@ fn disk(loader: &mut Loader, properties: &Properties) -> Result<()> {
 }
 
 /// Whether a transformation keeps angles.
-fn is_similarity(transform: &DAffine3) -> bool {
+pub(super) fn is_similarity(transform: &DAffine3) -> bool {
     let m = transform.matrix3;
     let lengths = [m.x_axis, m.y_axis, m.z_axis].map(|axis| axis.length_squared());
     let off_diagonal = [m.x_axis.dot(m.y_axis), m.y_axis.dot(m.z_axis), m.z_axis.dot(m.x_axis)];

@@ -48,14 +48,15 @@ impl Loader<'_> {
     }
 
     /// Likewise, whatever it means there: a checkerboard's colours mean what the checkerboard means.
-    fn texture_as(&mut self, properties: &Properties, name: &str, meaning: Meaning) -> Result<TextureId> {
+    pub fn texture_as(&mut self, properties: &Properties, name: &str, meaning: Meaning) -> Result<TextureId> {
         match properties.get(name).map(|p| &p.value) {
             Some(Value::Object(id)) => self.texture_object(*id, meaning),
             _ => self.colour_as(properties, name, meaning).map(|rgb| self.assembly.constant(rgb)),
         }
     }
 
-    fn texture_object(&mut self, id: ObjectId, meaning: Meaning) -> Result<TextureId> {
+    /// The texture that an object describes, made once for each kind of use.
+    pub fn texture_object(&mut self, id: ObjectId, meaning: Meaning) -> Result<TextureId> {
         let key = (id, meaning == Meaning::Scalar);
         if let Some(known) = self.textures.get(&key) {
             return Ok(*known);
@@ -81,12 +82,23 @@ impl Loader<'_> {
     }
 
     fn colour_as(&mut self, properties: &Properties, name: &str, meaning: Meaning) -> Result<DVec3> {
-        let default = match properties.takes(name) {
-            Takes::Colour(default, _) | Takes::Texture(Some(default), _) => DVec3::splat(default),
-            _ => DVec3::ZERO,
+        let Some(property) = properties.get(name) else {
+            return match properties.takes(name) {
+                Takes::Colour(default, _) | Takes::Texture(Some(default), _) => Ok(DVec3::splat(default)),
+                _ => Err(properties.missing(name)),
+            };
         };
-        let Some(property) = properties.get(name) else { return Ok(default) };
         let rgb = match &property.value {
+            Value::Object(id) => {
+                let texture = self.texture_object(*id, meaning)?;
+                match self.assembly.texture_of(texture) {
+                    Some(Texture::Constant(rgb)) => return Ok(rgb.as_dvec3()),
+                    _ => {
+                        let message = format!("'{name}' must be the same everywhere: a colour or a spectrum");
+                        return Err(properties.error(&property.span, message));
+                    }
+                }
+            }
             Value::SpectrumFile(file) => {
                 let pairs = self.spectrum_file(file, properties, property)?;
                 // Mitsuba takes spectra of files without daylight where they are no reflectances.
@@ -136,7 +148,8 @@ fn of_value(value: &Value, meaning: Meaning) -> DVec3 {
     }
 }
 
-fn of_pairs(pairs: &[(f64, f64)], meaning: Meaning) -> DVec3 {
+/// Linear sRGB of wavelengths in nm, increasing, and values.
+pub(crate) fn of_pairs(pairs: &[(f64, f64)], meaning: Meaning) -> DVec3 {
     match meaning {
         Meaning::Emission => spectrum::emission(pairs),
         Meaning::Reflectance => spectrum::under_daylight(pairs).min(DVec3::ONE),

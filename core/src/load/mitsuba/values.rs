@@ -65,7 +65,8 @@ pub(crate) fn spectrum_file(text: &str) -> Result<Vec<(f64, f64)>, String> {
     check_spectrum(pairs.collect::<Result<_, String>>()?)
 }
 
-fn check_spectrum(pairs: Vec<(f64, f64)>) -> Result<Vec<(f64, f64)>, String> {
+/// Pairs of a wavelength and a value, if they are a spectrum.
+pub(crate) fn check_spectrum(pairs: Vec<(f64, f64)>) -> Result<Vec<(f64, f64)>, String> {
     if pairs.len() < 2 {
         return Err("a spectrum of pairs needs at least two of them; write a constant spectrum as one number".into());
     }

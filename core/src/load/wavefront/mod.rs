@@ -17,7 +17,7 @@ use super::error::{LoadError, Place, Result, did_you_mean};
 use super::folder::{self, Folder, TEXT_BYTES_MAX};
 use super::mesh::Placement;
 use super::mesh::obj::{self, ObjFile};
-use super::placed::{PlacedEmitter, PlacedSensor, PlacedShape};
+use super::placed::{PlacedEmitter, PlacedSensor, PlacedShape, Projection};
 use super::{LoadOptions, Loaded, Note, image};
 use crate::scene::{Bsdf, BsdfId, FilterType, FovAxis, Texture, TextureId, WrapMode};
 use crate::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window};
@@ -275,9 +275,12 @@ fn framed(bounds: Option<(DVec3, DVec3)>) -> PlacedSensor {
     let distance = needed.fold(0.5 * extent, f64::max).max(f64::MIN_POSITIVE.sqrt());
     PlacedSensor {
         to_world: DAffine3 { matrix3: DMat3::from_cols(left, up, forward), translation: center - forward * distance },
-        fov_degrees: FOV_DEGREES,
-        fov_axis: FovAxis::Y,
-        principal_point_offset: [0.0; 2],
+        projection: Projection::Perspective {
+            fov_degrees: FOV_DEGREES,
+            fov_axis: FovAxis::Y,
+            principal_point_offset: [0.0; 2],
+            lens: None,
+        },
         near_clip: distance * 1e-3,
         far_clip: (distance + extent) * 10.0,
     }

@@ -1,7 +1,9 @@
 //! All surfaces of a scene, laid out for tracing: what a ray hits, and the surface point there.
 
+mod tangents;
+
 use crate::bvh::simd::Lanes;
-use crate::bvh::{Ray, TriangleBvh, TriangleHit};
+use crate::bvh::{Aabb, Ray, TriangleBvh, TriangleHit};
 use crate::frame::Frame;
 use crate::scene::{Geometry as Shape, Scene};
 use crate::shape::{Analytic, AnalyticBvh};
@@ -135,7 +137,7 @@ impl Geometry {
         let shape = self.triangle_shapes[triangle as usize];
         let table = &self.shapes[shape as usize];
         let vertices = self.triangles[triangle as usize];
-        let [p0, p1, p2] = vertices.map(|i| self.positions[i as usize]);
+        let [p0, p1, p2] = self.vertices(triangle);
         let weights = [1.0 - b.x - b.y, b.x, b.y];
         let parts = [p0 * weights[0], p1 * weights[1], p2 * weights[2]];
         let normal = (p1 - p0).cross(p2 - p0).normalize();
@@ -161,6 +163,7 @@ impl Geometry {
             frame: Frame::around(shading),
             uv,
             shape,
+            primitive: triangle,
             light: table.light_of(triangle),
         }
     }
@@ -183,6 +186,7 @@ impl Geometry {
             frame: Frame::around(point.normal),
             uv: point.uv,
             shape,
+            primitive: table.first_primitive,
             light: table.light_of(table.first_primitive),
         }
     }
@@ -203,6 +207,29 @@ impl Geometry {
         primitive.checked_sub(self.triangles.len() as u32)
     }
 
+    /// A box around a primitive.
+    pub fn bounds(&self, primitive: u32) -> Aabb {
+        match self.analytic_index(primitive) {
+            Some(index) => {
+                let (min, max) = self.analytic[index as usize].bounds();
+                Aabb { min, max }
+            }
+            None => self.vertices(primitive).into_iter().fold(Aabb::EMPTY, Aabb::with),
+        }
+    }
+
+    /// A cone around all shading normals of a primitive: its unit axis and the cosine of its half angle, −1 for all directions.
+    pub fn normal_cone(&self, primitive: u32) -> (Vec3, f32) {
+        let Some(index) = self.analytic_index(primitive) else {
+            let corners = [Vec2::ZERO, Vec2::X, Vec2::Y].map(|b| self.triangle_surface(primitive, b).frame.n);
+            let Some(axis) = (corners[0] + corners[1] + corners[2]).try_normalize() else { return (Vec3::Z, -1.0) };
+            let cosine = corners.into_iter().fold(1.0, |least: f32, n| least.min(axis.dot(n)));
+            // Flat ones keep their sharp edge; the others have room for rounding.
+            return if cosine > 1.0 - 1e-6 { (axis, 1.0) } else { (axis, (cosine - 1e-4).max(-1.0)) };
+        };
+        self.analytic[index as usize].one_normal().map_or((Vec3::Z, -1.0), |normal| (normal, 1.0))
+    }
+
     /// Area of a primitive.
     pub fn area(&self, primitive: u32) -> f32 {
         match self.analytic_index(primitive) {
@@ -211,10 +238,16 @@ impl Geometry {
         }
     }
 
+    /// The vertices of a triangle.
+    #[inline]
+    pub fn vertices(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|i| self.positions[i as usize])
+    }
+
     /// Area of a triangle.
     #[inline]
     pub fn triangle_area(&self, triangle: u32) -> f32 {
-        let [p0, p1, p2] = self.triangles[triangle as usize].map(|i| self.positions[i as usize]);
+        let [p0, p1, p2] = self.vertices(triangle);
         0.5 * (p1 - p0).cross(p2 - p0).length()
     }
 
