@@ -29,6 +29,8 @@ pub struct Surface {
     pub uv: Vec2,
     /// Index of the shape.
     pub shape: u32,
+    /// The primitive: a triangle or an analytic shape, as [`crate::geometry::Geometry`] numbers them.
+    pub primitive: u32,
     /// The light that this point is part of, if it emits.
     pub light: Option<u32>,
 }

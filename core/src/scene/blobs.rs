@@ -230,23 +230,11 @@ impl Reader<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{FovAxis, Sensor, Texture};
-    use glam::Affine3;
+    use crate::scene::Texture;
 
     fn scene() -> Scene {
         Scene {
-            sensor: Sensor::Perspective {
-                to_world: Affine3::IDENTITY,
-                fov_degrees: 40.0,
-                fov_axis: FovAxis::X,
-                principal_point_offset: [0.0; 2],
-                near_clip: 0.01,
-                far_clip: 1e4,
-            },
-            shapes: Vec::new(),
-            bsdfs: Vec::new(),
             textures: vec![Texture::Constant(Vec3::ONE)],
-            emitters: Vec::new(),
             meshes: vec![Arc::new(Mesh {
                 positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
                 uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y],
@@ -258,6 +246,7 @@ mod tests {
                 Arc::new(Image { width: 1, height: 1, texels: Texels::Rgb32(vec![1.0, -0.0, 3.0]) }),
             ],
             origin: [1.0, 2.0, 3.0],
+            ..Scene::empty()
         }
     }
 

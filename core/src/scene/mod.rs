@@ -47,3 +47,28 @@ pub struct Scene {
     /// The point of the file's world space, in its units, that lies at the zero of this scene's coordinates.
     pub origin: [f64; 3],
 }
+
+#[cfg(test)]
+impl Scene {
+    /// A camera and nothing before it, for tests to fill.
+    pub(crate) fn empty() -> Self {
+        let sensor = Sensor::Perspective {
+            to_world: glam::Affine3::IDENTITY,
+            fov_degrees: 40.0,
+            fov_axis: FovAxis::X,
+            principal_point_offset: [0.0; 2],
+            near_clip: 0.01,
+            far_clip: 1e4,
+        };
+        Self {
+            sensor,
+            shapes: Vec::new(),
+            bsdfs: Vec::new(),
+            textures: Vec::new(),
+            emitters: Vec::new(),
+            meshes: Vec::new(),
+            images: Vec::new(),
+            origin: [0.0; 3],
+        }
+    }
+}

@@ -58,6 +58,16 @@ impl Disk {
         self.at(Vec2::new(local.x, local.y))
     }
 
+    /// Outwards and around; at the centre some direction is the first.
+    pub fn tangents(&self, position: Vec3) -> (Vec3, Vec3) {
+        let local = self.to_object.transform_point3(position);
+        let r = (local.x * local.x + local.y * local.y).sqrt();
+        let (cos, sin) = if r > 0.0 { (local.x / r, local.y / r) } else { (1.0, 0.0) };
+        let matrix = &self.to_world.matrix3;
+        let around = (matrix.y_axis * cos - matrix.x_axis * sin) * (TAU * r.max(f32::EPSILON));
+        (matrix.x_axis * cos + matrix.y_axis * sin, around)
+    }
+
     /// A point uniform over the area.
     #[inline]
     pub fn sample(&self, from: Vec3, u: Vec2) -> Option<(Point, f32)> {

@@ -69,6 +69,14 @@ impl Analytic {
         }
     }
 
+    /// ∂p/∂u and ∂p/∂v at a point of the shape, as Mitsuba has them.
+    pub fn tangents(&self, position: Vec3) -> (Vec3, Vec3) {
+        match self {
+            Self::Sphere(sphere) => sphere.tangents(position),
+            Self::Disk(disk) => disk.tangents(position),
+        }
+    }
+
     /// Surface area.
     pub fn area(&self) -> f32 {
         match self {

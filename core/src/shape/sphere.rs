@@ -83,6 +83,18 @@ impl Sphere {
         }
     }
 
+    /// ∂p/∂u runs along the circle of latitude, ∂p/∂v from pole to pole; at the poles some direction is the first.
+    pub fn tangents(&self, position: Vec3) -> (Vec3, Vec3) {
+        let local = self.rotation * (position - self.centre);
+        let rho = (local.x * local.x + local.y * local.y).sqrt();
+        let (cos_phi, sin_phi) = if rho > 0.0 { (local.x / rho, local.y / rho) } else { (1.0, 0.0) };
+        let to_world = self.rotation.transpose();
+        // At the poles ∂p/∂u vanishes; its direction is kept.
+        let along = Vec3::new(-sin_phi, cos_phi, 0.0) * rho.max(f32::EPSILON * self.radius);
+        let down = Vec3::new(local.z * cos_phi, local.z * sin_phi, -rho);
+        (to_world * along * TAU, to_world * down * PI)
+    }
+
     /// From outside: a direction uniform in the cone that the sphere fills, and the point met there first. From inside: a
     /// point uniform over the surface.
     #[inline]

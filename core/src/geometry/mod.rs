@@ -1,5 +1,7 @@
 //! All surfaces of a scene, laid out for tracing: what a ray hits, and the surface point there.
 
+mod tangents;
+
 use crate::bvh::simd::Lanes;
 use crate::bvh::{Ray, TriangleBvh, TriangleHit};
 use crate::frame::Frame;
@@ -161,6 +163,7 @@ impl Geometry {
             frame: Frame::around(shading),
             uv,
             shape,
+            primitive: triangle,
             light: table.light_of(triangle),
         }
     }
@@ -183,6 +186,7 @@ impl Geometry {
             frame: Frame::around(point.normal),
             uv: point.uv,
             shape,
+            primitive: table.first_primitive,
             light: table.light_of(table.first_primitive),
         }
     }
