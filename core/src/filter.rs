@@ -2,6 +2,7 @@
 //! & Greiner 2006), so tiles never overlap and every sample weighs the same.
 
 use crate::settings::Filter;
+use crate::warp::inverse_linear;
 
 /// Intervals of the table along one axis.
 const STEPS: usize = 256;
@@ -58,9 +59,7 @@ impl FilterTable {
         let i = self.integral.partition_point(|&m| m <= mass).clamp(1, STEPS) - 1;
         let (a, b) = (self.density[i], self.density[i + 1]);
         let rest = mass - self.integral[i];
-        // rest = f·a + f²·(b − a)/2, solved without cancellation.
-        let root = (a * a + 2.0 * (b - a) * rest).max(0.0).sqrt();
-        let f = if a + root > 0.0 { (2.0 * rest / (a + root)).min(1.0) } else { 0.0 };
+        let f = if a + b > 0.0 { inverse_linear(2.0 * rest / (a + b), a, b) } else { 0.0 };
         self.radius * (2.0 * (i as f32 + f) / STEPS as f32 - 1.0)
     }
 }

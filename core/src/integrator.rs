@@ -53,7 +53,7 @@ impl Estimator {
             let hidden = depth == 0 && self.integrator.hide_emitters;
             let Some(surface) = next_surface(lanes, world, &mut ray, hidden) else {
                 if !hidden {
-                    radiance += throughput * self.background(world, origin);
+                    radiance += throughput * self.background(world, origin, ray.direction);
                 }
                 break;
             };
@@ -110,11 +110,12 @@ impl Estimator {
         sampler: &Sampler,
     ) -> Vec3 {
         let (choice, u) = (sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
-        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u) else {
+        let mis = self.strategy == Strategy::Mis;
+        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
             return Vec3::ZERO;
         };
         let scattered = shading.closure.eval(wo, shading.frame.to_local(light.wi));
-        let weight = if self.strategy == Strategy::Mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
+        let weight = if mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
         let contribution = scattered.value * light.weight * weight;
         if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
             return Vec3::ZERO;
@@ -124,8 +125,11 @@ impl Estimator {
 
     /// Radiance from beyond the scene.
     #[inline]
-    fn background(&self, world: &World, origin: Origin) -> Vec3 {
-        world.lights.background().map(|(radiance, pdf)| radiance * self.weight_of_hit(origin, pdf)).sum()
+    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Vec3 {
+        match world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis) {
+            Some((radiance, pdf)) => radiance * self.weight_of_hit(origin, pdf),
+            None => Vec3::ZERO,
+        }
     }
 
     /// Radiance emitted by the surface that was hit.

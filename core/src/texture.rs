@@ -58,8 +58,9 @@ impl Textures {
         }
     }
 
+    /// The pixel of this index, linear.
     #[inline]
-    fn texel(&self, image: &Image, i: usize) -> Vec3 {
+    pub(crate) fn texel(&self, image: &Image, i: usize) -> Vec3 {
         let decode = |byte: u8, srgb: bool| if srgb { self.srgb[byte as usize] } else { f32::from(byte) / 255.0 };
         match &image.texels {
             Texels::Grey8 { srgb, data } => Vec3::splat(decode(data[i], *srgb)),

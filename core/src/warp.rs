@@ -81,3 +81,11 @@ pub fn uniform_cone(u: Vec2, one_minus_cos_max: f32) -> Vec3 {
 pub fn uniform_cone_pdf(one_minus_cos_max: f32) -> f32 {
     1.0 / (2.0 * PI * one_minus_cos_max)
 }
+
+/// The fraction x of [0, 1] below which a density that runs linearly from `a` to `b` has the share `u` of its mass: the map for a
+/// density of (a + (b − a)·x) · 2/(a + b). Without cancellation; `a` and `b` are not negative and not both zero.
+#[inline]
+pub fn inverse_linear(u: f32, a: f32, b: f32) -> f32 {
+    let root = (a * a + (b - a) * (b + a) * u).max(0.0).sqrt();
+    if a + root > 0.0 { (u * (a + b) / (a + root)).min(1.0) } else { 0.0 }
+}

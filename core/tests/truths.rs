@@ -8,7 +8,8 @@ use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::{self, Film};
 use tilecast_core::scene::{
-    Bsdf, BsdfId, Emitter, FovAxis, Geometry, Mesh, MeshId, Scene, Sensor, Shape, Texture, TextureId,
+    Bsdf, BsdfId, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels, Texture,
+    TextureId,
 };
 use tilecast_core::settings::{
     Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window,
@@ -128,6 +129,29 @@ fn a_plane_under_the_sky_shows_its_albedo() {
     for strategy in ALL_STRATEGIES {
         let (mean, error) = mean_and_error(&render(&sky, &settings(16, 64, strategy)));
         assert!((mean - 0.6).abs() < 4.0 * error + 1e-5, "{strategy:?}: {mean} ± {error}");
+    }
+}
+
+/// A plane under a sky with a few suns: light sampling, alone and with its density compensated, agrees with cosine
+/// sampling, which knows nothing of the image.
+#[test]
+fn an_environment_lights_alike_under_every_strategy() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let mut sky = scene(camera(Vec3::Z * 2.0, Vec3::X, -Vec3::Y, -Vec3::Z), 0.6, vec![shape(plane, false)]);
+    let texel = |i: u32| if i % 149 == 3 { 90.0 } else { 0.1 * (i % 5) as f32 };
+    let texels = Texels::Rgb32((0..64 * 32).flat_map(|i| [texel(i); 3]).collect());
+    sky.images.push(Arc::new(Image { width: 64, height: 32, texels }));
+    let to_world = Mat3::from_axis_angle(Vec3::new(0.6, 0.0, 0.8), 1.0);
+    sky.emitters.push(Emitter::Envmap { image: ImageId(0), scale: 0.5, to_world });
+    let (truth, allowed) = mean_and_error(&render(&sky, &settings(16, 1024, Strategy::Cosine)));
+    for strategy in [Strategy::Light, Strategy::Mis] {
+        let (mean, error) = mean_and_error(&render(&sky, &settings(16, 64, strategy)));
+        assert!(
+            (mean - truth).abs() < 4.0 * (error + allowed),
+            "{strategy:?}: {mean} ± {error} for {truth} ± {allowed}"
+        );
+        // Cosine sampling would have four times the error that it has with sixteen times the samples.
+        assert!(error < 2.0 * allowed, "{strategy:?}: error {error} against {allowed}");
     }
 }
 

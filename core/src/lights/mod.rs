@@ -3,13 +3,20 @@
 //! A light is what has one density: a triangle or analytic surface that emits, a point, a direction, the background. They are
 //! chosen in proportion to their power.
 
+mod alias;
+mod background;
+mod environment;
+
 use crate::bvh::Ray;
 use crate::geometry::Geometry;
 use crate::scene::{Emitter, Scene, TextureId};
 use crate::shape::area_to_solid_angle;
 use crate::surface::Surface;
 use crate::texture::Textures;
-use crate::warp::{UNIFORM_SPHERE_PDF, uniform_sphere, uniform_triangle};
+use crate::warp::uniform_triangle;
+use alias::AliasTable;
+use background::Background;
+use environment::Environment;
 use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
@@ -17,15 +24,15 @@ use std::f32::consts::PI;
 pub struct Lights {
     lights: Vec<Light>,
     choice: AliasTable,
-    /// The background's radiance, and its lights' indices.
-    background: Vec<(Vec3, u32)>,
+    /// The background and the index of its light.
+    background: Option<(Background, u32)>,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Light {
     Triangle { triangle: u32, area: f32, radiance: TextureId },
     Analytic { index: u32, radiance: TextureId },
-    Constant { radiance: Vec3 },
+    Background,
     Point { position: Vec3, intensity: Vec3 },
     Directional { direction: Vec3, irradiance: Vec3 },
 }
@@ -79,12 +86,19 @@ impl Lights {
         }
         let (_, radius) = geometry.bounding_ball();
         let across = PI * radius * radius;
-        let mut background = Vec::new();
+        let mut background = None;
+        let mut add_background = |around: Background, index: usize| {
+            let power = 4.0 * PI * across * around.mean_luminance();
+            background = Some((around, index as u32));
+            (Light::Background, power)
+        };
         for emitter in &scene.emitters {
             let (light, power) = match *emitter {
-                Emitter::Constant { radiance } => {
-                    background.push((radiance, lights.len() as u32));
-                    (Light::Constant { radiance }, 4.0 * PI * across * luminance(radiance))
+                Emitter::Constant { radiance } => add_background(Background::Constant(radiance), lights.len()),
+                Emitter::Envmap { image, scale, to_world } => {
+                    let image = scene.images[image.0 as usize].clone();
+                    let map = Environment::new(textures, image, scale, to_world);
+                    add_background(Background::Environment(map), lights.len())
                 }
                 Emitter::Point { position, intensity } => {
                     (Light::Point { position, intensity }, 4.0 * PI * luminance(intensity))
@@ -99,7 +113,8 @@ impl Lights {
         Self { lights, choice: AliasTable::new(&powers), background }
     }
 
-    /// Light to the surface from a light chosen by `choice`, at its point chosen by `u`; none where none can come.
+    /// Light to the surface from a light chosen by `choice`, at its point chosen by `u`; none where none can come. With `mis`
+    /// BSDF sampling looks for light too, and what it finds better may be left to it.
     #[inline]
     pub fn sample(
         &self,
@@ -108,6 +123,7 @@ impl Lights {
         surface: &Surface,
         choice: f32,
         u: Vec2,
+        mis: bool,
     ) -> Option<LightSample> {
         let (i, probability) = self.choice.sample(choice)?;
         match self.lights[i as usize] {
@@ -121,9 +137,13 @@ impl Lights {
                 let point = geometry.analytic_point(index, point);
                 from_surface(textures, radiance, surface, &point, pdf * probability)
             }
-            Light::Constant { radiance } => {
-                let (wi, pdf) = (uniform_sphere(u), UNIFORM_SPHERE_PDF * probability);
-                Some(LightSample { wi, weight: radiance / pdf, pdf, shadow_ray: surface.ray(wi, f32::INFINITY) })
+            Light::Background => {
+                let (background, _) = self.background.as_ref()?;
+                let wi = background.sample(textures, u, mis);
+                let (radiance, pdf) = background.at(textures, wi, mis);
+                let pdf = pdf * probability;
+                let shadow_ray = surface.ray(wi, f32::INFINITY);
+                (pdf > 0.0).then(|| LightSample { wi, weight: radiance / pdf, pdf, shadow_ray })
             }
             Light::Point { position, intensity } => {
                 let shadow_ray = surface.ray_to_point(position);
@@ -152,7 +172,7 @@ impl Lights {
         let density = match self.lights[light as usize] {
             Light::Triangle { area, .. } => area_to_solid_angle(1.0 / area, from, point.position, point.normal),
             Light::Analytic { index, .. } => geometry.analytic(index).pdf(from, point.position, point.normal),
-            Light::Constant { .. } | Light::Point { .. } | Light::Directional { .. } => 0.0,
+            Light::Background | Light::Point { .. } | Light::Directional { .. } => 0.0,
         };
         density * self.choice.probability(light)
     }
@@ -168,10 +188,13 @@ impl Lights {
         }
     }
 
-    /// Each background's radiance and the density with which light sampling finds its directions.
+    /// Radiance from beyond the scene in the unit direction `wi`, and the density with which light sampling finds it; none
+    /// where nothing shines there.
     #[inline]
-    pub fn background(&self) -> impl Iterator<Item = (Vec3, f32)> {
-        self.background.iter().map(|&(radiance, i)| (radiance, UNIFORM_SPHERE_PDF * self.choice.probability(i)))
+    pub fn background(&self, textures: &Textures, wi: Vec3, mis: bool) -> Option<(Vec3, f32)> {
+        let (background, light) = self.background.as_ref()?;
+        let (radiance, pdf) = background.at(textures, wi, mis);
+        Some((radiance, pdf * self.choice.probability(*light)))
     }
 
     /// How many there are.
@@ -205,50 +228,4 @@ fn from_surface(
 #[inline]
 pub fn luminance(rgb: Vec3) -> f32 {
     rgb.dot(Vec3::new(0.212_671, 0.715_160, 0.072_169))
-}
-
-/// Choice among weighted items in constant time (Walker 1974; Vose 1991).
-struct AliasTable {
-    /// For each bin: the share of it that is the item's own, and the item that has the rest.
-    bins: Vec<(f32, u32)>,
-    probabilities: Vec<f32>,
-}
-
-impl AliasTable {
-    fn new(weights: &[f32]) -> Self {
-        let total: f64 = weights.iter().map(|&w| f64::from(w)).sum();
-        if total <= 0.0 {
-            return Self { bins: Vec::new(), probabilities: vec![0.0; weights.len()] };
-        }
-        let n = weights.len() as f64;
-        let mut scaled: Vec<f64> = weights.iter().map(|&w| f64::from(w) * n / total).collect();
-        let mut bins: Vec<(f32, u32)> = (0..weights.len()).map(|i| (1.0, i as u32)).collect();
-        let (mut small, mut large): (Vec<usize>, Vec<usize>) = (0..weights.len()).partition(|&i| scaled[i] < 1.0);
-        while let (Some(s), Some(&l)) = (small.pop(), large.last()) {
-            bins[s] = (scaled[s] as f32, l as u32);
-            scaled[l] -= 1.0 - scaled[s];
-            if scaled[l] < 1.0 {
-                large.pop();
-                small.push(l);
-            }
-        }
-        let probabilities = weights.iter().map(|&w| (f64::from(w) / total) as f32).collect();
-        Self { bins, probabilities }
-    }
-
-    /// An item and its probability; none if no item has weight.
-    #[inline]
-    fn sample(&self, u: f32) -> Option<(u32, f32)> {
-        let at = u * self.bins.len() as f32;
-        let bin = (at as usize).min(self.bins.len().checked_sub(1)?);
-        let (share, alias) = self.bins[bin];
-        let item = if at - (bin as f32) < share { bin as u32 } else { alias };
-        let probability = self.probabilities[item as usize];
-        (probability > 0.0).then_some((item, probability))
-    }
-
-    #[inline]
-    fn probability(&self, item: u32) -> f32 {
-        self.probabilities[item as usize]
-    }
 }

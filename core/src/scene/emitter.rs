@@ -1,6 +1,7 @@
 //! Lights that are not surfaces.
 
-use glam::Vec3;
+use super::ImageId;
+use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// A light without a surface. Values are linear sRGB.
@@ -10,6 +11,15 @@ pub enum Emitter {
     Constant {
         /// Radiance.
         radiance: Vec3,
+    },
+    /// Radiance from an image around the scene, rows running from +y to −y, as Mitsuba's `envmap` has it.
+    Envmap {
+        /// The image, at least 2×3 pixels.
+        image: ImageId,
+        /// Factor on every value.
+        scale: f32,
+        /// The image's space to the scene's, a rotation (or a reflection).
+        to_world: Mat3,
     },
     /// A point that shines alike in all directions.
     Point {

@@ -1,7 +1,7 @@
 //! The one check of a whole scene: indices in range, numbers finite, nothing nested in a circle.
 
 use super::{Bsdf, BsdfId, Emitter, Geometry, Image, Mesh, Scene, Sensor, Texels, Texture, TextureId};
-use glam::{Affine3, Vec3};
+use glam::{Affine3, Mat3, Vec3};
 
 /// What is wrong with a scene that a file or the wire described.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -48,8 +48,12 @@ impl Scene {
             self.validate_bsdf(i, bsdf)?;
         }
         for (i, emitter) in self.emitters.iter().enumerate() {
-            validate_emitter(&format!("emitter {i}"), emitter)?;
+            self.validate_emitter(&format!("emitter {i}"), emitter)?;
         }
+        let background = |e: &&Emitter| matches!(e, Emitter::Constant { .. } | Emitter::Envmap { .. });
+        check(self.emitters.iter().filter(background).count() < 2, || {
+            value("scene", "it has more than one background (constant, envmap), there must be at most one")
+        })?;
         for shape in &self.shapes {
             let what = format!("shape '{}'", shape.name);
             index(&what, "bsdf", shape.bsdf.0, self.bsdfs.len())?;
@@ -77,6 +81,31 @@ impl Scene {
         check(*near_clip > 0.0 && *near_clip < *far_clip, || {
             value("sensor", format!("near_clip {near_clip} and far_clip {far_clip} must satisfy 0 < near < far"))
         })
+    }
+
+    fn validate_emitter(&self, what: &str, emitter: &Emitter) -> Result<(), SceneError> {
+        match emitter {
+            Emitter::Constant { radiance } => finite(what, *radiance),
+            Emitter::Envmap { image, scale, to_world } => {
+                index(what, "image", image.0, self.images.len())?;
+                let image = &self.images[image.0 as usize];
+                check(image.width >= 2 && image.height >= 3, || {
+                    value(what, format!("its image has {}×{} pixels, 2×3 are the least", image.width, image.height))
+                })?;
+                check(scale.is_finite() && *scale >= 0.0, || value(what, "its scale is negative or not finite"))?;
+                // Directions are only turned: what a scale would mean is nowhere defined.
+                let off = (*to_world * to_world.transpose() - Mat3::IDENTITY).to_cols_array();
+                check(off.iter().all(|x| x.abs() < 1e-4), || value(what, "its to_world must be a rotation"))
+            }
+            Emitter::Point { position, intensity } => {
+                finite(what, *position)?;
+                finite(what, *intensity)
+            }
+            Emitter::Directional { direction, irradiance } => {
+                finite(what, *direction)?;
+                finite(what, *irradiance)
+            }
+        }
     }
 
     fn validate_texture(&self, i: usize, texture: &Texture) -> Result<(), SceneError> {
@@ -161,16 +190,6 @@ impl Image {
         };
         check(finite, || value(what, "a pixel is not finite"))
     }
-}
-
-fn validate_emitter(what: &str, emitter: &Emitter) -> Result<(), SceneError> {
-    let (direction, rgb) = match emitter {
-        Emitter::Constant { radiance } => (Vec3::ZERO, radiance),
-        Emitter::Point { position, intensity } => (*position, intensity),
-        Emitter::Directional { direction, irradiance } => (*direction, irradiance),
-    };
-    finite(what, direction)?;
-    finite(what, *rgb)
 }
 
 fn index(what: &str, list: &'static str, index: u32, len: usize) -> Result<(), SceneError> {

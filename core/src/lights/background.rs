@@ -1,0 +1,44 @@
+//! What lies beyond the scene: radiance by direction, and directions by radiance.
+
+use super::environment::Environment;
+use super::luminance;
+use crate::texture::Textures;
+use crate::warp::{UNIFORM_SPHERE_PDF, uniform_sphere};
+use glam::{Vec2, Vec3};
+
+/// The one background of a scene.
+pub enum Background {
+    /// The same radiance from everywhere.
+    Constant(Vec3),
+    /// An image all around.
+    Environment(Environment),
+}
+
+impl Background {
+    /// Radiance from the unit direction `wi`, and the density of [`Background::sample`] there, in solid angle. With `mis` the
+    /// density leaves gaps where other sampling does better.
+    #[inline]
+    pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
+        match self {
+            Background::Constant(radiance) => (*radiance, UNIFORM_SPHERE_PDF),
+            Background::Environment(environment) => environment.at(textures, wi, mis),
+        }
+    }
+
+    /// A direction to light from.
+    #[inline]
+    pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> Vec3 {
+        match self {
+            Background::Constant(_) => uniform_sphere(u),
+            Background::Environment(environment) => environment.sample(textures, u, mis),
+        }
+    }
+
+    /// Luminance of the radiance, its mean over all directions.
+    pub fn mean_luminance(&self) -> f32 {
+        match self {
+            Background::Constant(radiance) => luminance(*radiance),
+            Background::Environment(environment) => environment.mean_luminance(),
+        }
+    }
+}

@@ -1,0 +1,316 @@
+//! Environment maps: an image around the scene, bilinear between texels, sampled in proportion to its luminance.
+//!
+//! Columns run around y; a column's centre is at (i + ½)/width of the turn. Rows run from +y to −y; the first and the last lie
+//! *on* the poles, as Mitsuba's `envmap` has them. Four neighbouring texels span a *cell*: width · (height − 1) of them.
+//!
+//! Directions are found by two choices (a row of cells, a cell of it), then bilinearly within the cell, over the angle around
+//! and the height along y, so that the density in solid angle is the interpolated luminance itself up to the curvature of a
+//! cell's rows. Inverted cumulative sums keep neighbouring random numbers neighbours, which an alias table would not, and whose
+//! stratification is worth more than its speed.
+
+use super::luminance;
+use crate::scene::Image;
+use crate::texture::Textures;
+use crate::warp::inverse_linear;
+use glam::{Mat3, Vec2, Vec3};
+use std::f32::consts::{PI, TAU};
+use std::sync::Arc;
+
+/// Random numbers are multiples of 2^-24. Choices have probabilities that are such multiples too, which makes them exact.
+const STEPS: u32 = 1 << 24;
+
+/// An environment map, ready for look-up and sampling.
+pub struct Environment {
+    image: Arc<Image>,
+    scale: f32,
+    /// The image's space to the scene's; orthogonal.
+    to_world: Mat3,
+    /// 1 − cos θ of each row of texels.
+    heights: Vec<f32>,
+    mean_luminance: f32,
+    /// For light sampling alone: in proportion to luminance.
+    alone: Distribution,
+    /// For light sampling joined with BSDF sampling: in proportion to what of the luminance exceeds its mean (Karlík et al.
+    /// 2019, "MIS Compensation"). None if nothing does.
+    compensated: Option<Distribution>,
+}
+
+/// A position on the image: the cell, and where in it.
+struct Cell {
+    column: usize,
+    row: usize,
+    /// Fractions of the cell, across and down; `y` linear in θ.
+    x: f32,
+    y: f32,
+    /// Down, linear in cos θ.
+    height: f32,
+}
+
+/// Probabilities of cells.
+struct Distribution {
+    /// What is taken from the luminance of every texel.
+    floor: f32,
+    /// Cumulative probabilities of rows of cells, in steps.
+    rows: Vec<u32>,
+    /// Those of the cells in each row, width + 1 a row.
+    columns: Vec<u32>,
+}
+
+impl Environment {
+    /// Prepares an image of at least 2×3 pixels.
+    pub fn new(textures: &Textures, image: Arc<Image>, scale: f32, to_world: Mat3) -> Self {
+        let rows = image.height as usize;
+        let heights = (0..rows).map(|j| {
+            let half_sine = libm::sin(0.5 * std::f64::consts::PI * j as f64 / (rows - 1) as f64);
+            (2.0 * half_sine * half_sine) as f32
+        });
+        let heights: Vec<f32> = heights.collect();
+        let texels = (0..rows * image.width as usize).map(|i| luminance(textures.texel(&image, i)).max(0.0));
+        let texels: Vec<f32> = texels.collect();
+        let (alone, mean) = Distribution::new(&texels, &heights, 0.0);
+        let (compensated, rest) = Distribution::new(&texels, &heights, mean);
+        // What rounding leaves of an even image is no peak.
+        let compensated = (rest > 1e-5 * mean).then_some(compensated);
+        Self { image, scale, to_world, heights, mean_luminance: mean * scale, alone, compensated }
+    }
+
+    pub fn mean_luminance(&self) -> f32 {
+        self.mean_luminance
+    }
+
+    #[inline]
+    fn distribution(&self, mis: bool) -> &Distribution {
+        self.compensated.as_ref().filter(|_| mis).unwrap_or(&self.alone)
+    }
+
+    /// Radiance from `wi` and the density of [`Environment::sample`] there.
+    #[inline]
+    pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
+        let cell = self.cell(self.to_world.transpose() * wi);
+        let [a, b, c, d] = self.corners(textures, cell.column, cell.row);
+        let upper = a * (1.0 - cell.x) + b * cell.x;
+        let lower = c * (1.0 - cell.x) + d * cell.x;
+        let radiance = (upper * (1.0 - cell.y) + lower * cell.y) * self.scale;
+
+        let distribution = self.distribution(mis);
+        let [a, b, c, d] = [a, b, c, d].map(|texel| distribution.weight(luminance(texel)));
+        let mean = 0.25 * (a + b + c + d);
+        let upper = a * (1.0 - cell.x) + b * cell.x;
+        let lower = c * (1.0 - cell.x) + d * cell.x;
+        let weight = upper * (1.0 - cell.height) + lower * cell.height;
+        let solid_angle = TAU / self.image.width as f32 * (self.heights[cell.row + 1] - self.heights[cell.row]);
+        let probability = distribution.probability(cell.column, cell.row, self.image.width as usize);
+        (radiance, if mean > 0.0 { probability / solid_angle * (weight / mean) } else { 0.0 })
+    }
+
+    /// A unit direction for two random numbers.
+    #[inline]
+    pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> Vec3 {
+        let distribution = self.distribution(mis);
+        let (row, v) = choose(&distribution.rows, u.y);
+        let stride = self.image.width as usize + 1;
+        let (column, u) = choose(&distribution.columns[row * stride..][..stride], u.x);
+        let [a, b, c, d] = self
+            .corners(textures, column, row)
+            .map(|texel| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE));
+        let down = inverse_linear(v, a + b, c + d);
+        let across = inverse_linear(u, a + (c - a) * down, b + (d - b) * down);
+        let height = self.heights[row] + (self.heights[row + 1] - self.heights[row]) * down;
+        let (sin_phi, cos_phi) = libm::sincosf(TAU * (column as f32 + 0.5 + across) / self.image.width as f32);
+        let sin_theta = (height * (2.0 - height)).max(0.0).sqrt();
+        self.to_world * Vec3::new(sin_theta * sin_phi, 1.0 - height, -sin_theta * cos_phi)
+    }
+
+    /// Where a direction of the image's space meets it.
+    #[inline]
+    fn cell(&self, d: Vec3) -> Cell {
+        let width = self.image.width as usize;
+        let around = libm::atan2f(d.x, -d.z) / TAU * width as f32 - 0.5;
+        let around = if around < 0.0 { around + width as f32 } else { around };
+        let column = (around as usize).min(width - 1);
+        let sin2 = d.x * d.x + d.z * d.z;
+        let down = libm::atan2f(sin2.sqrt(), d.y) / PI * (self.heights.len() - 1) as f32;
+        let row = (down as usize).min(self.heights.len() - 2);
+        // 1 − cos θ without cancellation.
+        let from_pole = sin2 / (1.0 + d.y.abs());
+        let height = if d.y > 0.0 { from_pole } else { 2.0 - from_pole };
+        let (top, bottom) = (self.heights[row], self.heights[row + 1]);
+        Cell {
+            column,
+            row,
+            x: around - column as f32,
+            y: down - row as f32,
+            height: ((height - top) / (bottom - top)).clamp(0.0, 1.0),
+        }
+    }
+
+    /// The texels around a cell: upper left and right, lower left and right.
+    #[inline]
+    fn corners(&self, textures: &Textures, column: usize, row: usize) -> [Vec3; 4] {
+        let width = self.image.width as usize;
+        let next = if column + 1 == width { 0 } else { column + 1 };
+        [(column, row), (next, row), (column, row + 1), (next, row + 1)]
+            .map(|(x, y)| textures.texel(&self.image, y * width + x))
+    }
+}
+
+impl Distribution {
+    /// Probabilities for texels of these luminances less `floor`, and the mean over all directions of that.
+    fn new(texels: &[f32], heights: &[f32], floor: f32) -> (Self, f32) {
+        let width = texels.len() / heights.len();
+        let mut distribution = Self { floor, rows: Vec::new(), columns: Vec::new() };
+        let mut row_weights = Vec::with_capacity(heights.len() - 1);
+        let mut weights = vec![0.0; width];
+        for (row, pair) in heights.windows(2).enumerate() {
+            let at = |x: usize, y: usize| f64::from(distribution.weight(texels[(row + y) * width + x % width]));
+            for (x, weight) in weights.iter_mut().enumerate() {
+                *weight = 0.25 * (at(x, 0) + at(x + 1, 0) + at(x, 1) + at(x + 1, 1));
+            }
+            let across = weights.iter().sum::<f64>() / width as f64;
+            row_weights.push(across * 0.5 * f64::from(pair[1] - pair[0])); // heights span 0 to 2
+            let cumulative = cumulate(&weights);
+            distribution.columns.extend(cumulative);
+        }
+        distribution.rows = cumulate(&row_weights);
+        (distribution, row_weights.iter().sum::<f64>() as f32)
+    }
+
+    #[inline]
+    fn weight(&self, luminance: f32) -> f32 {
+        (luminance - self.floor).max(0.0)
+    }
+
+    #[inline]
+    fn probability(&self, column: usize, row: usize, width: usize) -> f32 {
+        let at = row * (width + 1) + column;
+        let share = |steps: u32| steps as f32 * (1.0 / STEPS as f32);
+        share(self.rows[row + 1] - self.rows[row]) * share(self.columns[at + 1] - self.columns[at])
+    }
+}
+
+/// Cumulative probabilities in steps, from 0 to [`STEPS`]; every positive weight has at least one step. All zero if no weight
+/// is positive.
+fn cumulate(weights: &[f64]) -> Vec<u32> {
+    let total: f64 = weights.iter().sum();
+    let positive = weights.iter().filter(|&&w| w > 0.0).count();
+    let to_share = f64::from(STEPS) - positive as f64;
+    let (mut sum, mut seen) = (0.0, 0);
+    let mut cumulative = vec![0; weights.len() + 1];
+    for (i, &weight) in weights.iter().enumerate().filter(|_| positive > 0) {
+        sum += weight;
+        seen += u32::from(weight > 0.0);
+        let share = if seen as usize == positive { to_share } else { (to_share * (sum / total)).floor().min(to_share) };
+        cumulative[i + 1] = share as u32 + seen;
+    }
+    cumulative
+}
+
+/// The item that `u` falls on, and where on it, in (0, 1).
+#[inline]
+fn choose(cumulative: &[u32], u: f32) -> (usize, f32) {
+    let step = (u * STEPS as f32) as u32;
+    let item = cumulative.partition_point(|&c| c <= step).clamp(1, cumulative.len() - 1) - 1;
+    let width = (cumulative[item + 1] - cumulative[item]).max(1);
+    (item, ((step - cumulative[item].min(step)) as f32 + 0.5) / width as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Scene, Texels};
+    use crate::warp::uniform_sphere;
+    use glam::Quat;
+
+    fn environment(width: u32, height: u32, value: impl Fn(u32, u32) -> f32) -> (Environment, Textures) {
+        let data = (0..width * height).flat_map(|i| [value(i % width, i / width); 3]).collect();
+        let image = Arc::new(Image { width, height, texels: Texels::Rgb32(data) });
+        let textures = Textures::new(&Scene::empty());
+        let to_world = Mat3::from_quat(Quat::from_xyzw(0.1, 0.3, -0.2, 0.9).normalize());
+        (Environment::new(&textures, image, 2.0, to_world), textures)
+    }
+
+    /// Some texels black, one very bright.
+    fn uneven(x: u32, y: u32) -> f32 {
+        match (x * 7 + y * 3) % 11 {
+            0..=3 => 0.0,
+            4 => 60.0,
+            k => k as f32 * 0.1,
+        }
+    }
+
+    fn grid(n: u32) -> impl Iterator<Item = Vec2> {
+        (0..n * n).map(move |i| Vec2::new((i / n) as f32 + 0.5, (i % n) as f32 + 0.5) / n as f32)
+    }
+
+    /// The texel at a texel's own centre, with Mitsuba's orientation: u = 0 looks along −z, a quarter turn further along +x;
+    /// the first row is +y. (3.9.1 gives these values.)
+    #[test]
+    fn texels_lie_where_mitsuba_has_them() {
+        let (mut map, textures) = environment(4, 3, |x, y| (10 * y + x) as f32);
+        map.to_world = Mat3::IDENTITY;
+        let at = |d: Vec3| map.at(&textures, d.normalize(), false).0.x / 2.0;
+        assert!((at(Vec3::new(1.0, 0.0, -1.0)) - 10.0).abs() < 1e-4);
+        assert!((at(Vec3::new(1.0, 0.0, 1.0)) - 11.0).abs() < 1e-4);
+        assert!((at(Vec3::new(-1.0, 0.0, -1.0)) - 13.0).abs() < 1e-4);
+        assert!((at(Vec3::new(0.0, 0.0, -1.0)) - 11.5).abs() < 1e-4, "between the last column and the first");
+        assert!((at(Vec3::new(1e-3, 1e3, -1e-3)) - 0.0).abs() < 1e-4);
+        assert!((at(Vec3::new(1.0, 1.0, 1.0)) - (1.0 + 10.0 * 0.608_173_4)).abs() < 1e-3);
+    }
+
+    /// The density is that of the samples (χ² over boxes of equal solid angle), and integrates to one. Fails if the height
+    /// within a cell is taken for the angle, or rows are weighed without their solid angle.
+    #[test]
+    fn densities_are_those_of_the_samples() {
+        for mis in [false, true] {
+            let (map, textures) = environment(5, 4, uneven);
+            let boxes = 16usize;
+            let index = |d: Vec3| {
+                let (v, u) = (0.5 * (1.0 - d.z), libm::atan2f(d.y, d.x) / TAU + 0.5);
+                ((v * boxes as f32) as usize).min(boxes - 1) * boxes + ((u * boxes as f32) as usize).min(boxes - 1)
+            };
+            let (mut seen, mut expected) = (vec![0.0; boxes * boxes], vec![0.0; boxes * boxes]);
+            let (n, fine) = (256, 1024);
+            let mut sampler = 0u64;
+            for _ in 0..n * n {
+                sampler = crate::sampler::mix64(sampler);
+                let u = Vec2::new((sampler as u32 >> 8) as f32, (sampler >> 40) as f32) / STEPS as f32;
+                seen[index(map.sample(&textures, u, mis))] += 1.0;
+            }
+            for u in grid(fine) {
+                let d = uniform_sphere(u);
+                expected[index(d)] +=
+                    f64::from(map.at(&textures, d, mis).1) * 4.0 * std::f64::consts::PI * f64::from(n * n)
+                        / f64::from(fine * fine);
+            }
+            let total: f64 = expected.iter().sum::<f64>() / f64::from(n * n);
+            assert!((total - 1.0).abs() < 1e-3, "mis {mis}: the density integrates to {total}");
+            let kept = expected.iter().filter(|&&e| e > 5.0).count();
+            let chi2: f64 = seen
+                .iter()
+                .zip(&expected)
+                .filter(|&(_, &e)| e > 5.0)
+                .map(|(s, e): (&f64, _)| (s - e).powi(2) / e)
+                .sum();
+            // Five standard deviations of χ² with this many degrees of freedom.
+            assert!(chi2 < kept as f64 + 5.0 * (2.0 * kept as f64).sqrt(), "mis {mis}: χ² {chi2} over {kept} boxes");
+            let stray = seen.iter().zip(&expected).any(|(&s, &e)| e == 0.0 && s > 0.0);
+            assert!(!stray, "mis {mis}: samples where the density is zero");
+        }
+    }
+
+    /// Light sampling alone weighs every direction almost alike, and the compensated density is zero below the mean.
+    #[test]
+    fn bright_directions_are_found() {
+        let (map, textures) = environment(64, 32, |x, y| 1.0 + libm::sinf((x * y) as f32 * 0.01) * 0.9);
+        let weights = grid(64).map(|u| {
+            let (radiance, pdf) = map.at(&textures, map.sample(&textures, u, false), false);
+            luminance(radiance) / pdf / (4.0 * PI * map.mean_luminance())
+        });
+        assert!(weights.into_iter().all(|w| (0.8..1.25).contains(&w)), "a weight is far from the mean");
+        let (map, textures) = environment(8, 5, uneven);
+        for d in grid(64).map(uniform_sphere) {
+            let (radiance, pdf) = map.at(&textures, d, true);
+            assert!(pdf > 0.0 || luminance(radiance) <= 4.0 * map.mean_luminance());
+        }
+    }
+}
