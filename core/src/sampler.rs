@@ -7,7 +7,7 @@ use crate::film::REPLICATES;
 use crate::settings::SamplerKind;
 use glam::Vec2;
 
-/// Slots before the first surface: the position on the film and, later, on the lens.
+/// Slots before the first surface: the positions on the film and on the lens.
 const CAMERA_SLOTS: u32 = 2;
 /// Slots of a surface hit, in the order of [`Slot`].
 const SURFACE_SLOTS: u32 = 5;
@@ -53,6 +53,12 @@ impl Sampler {
     #[inline]
     pub fn film(&self) -> Vec2 {
         self.pair(0)
+    }
+
+    /// The position on the lens, in [0,1)².
+    #[inline]
+    pub fn lens(&self) -> Vec2 {
+        self.pair(1)
     }
 
     /// From here on, slots are those of the surface at `depth` (0: the first hit).
@@ -208,6 +214,7 @@ mod tests {
         let here = Sampler::new(SamplerKind::Sobol, 7, 3, 5, 0);
         let there = Sampler::new(SamplerKind::Sobol, 7, 5, 3, 0);
         assert_ne!(here.film(), there.film());
+        assert_ne!(here.film(), here.lens());
     }
 
     /// The integral of xy over the square is ¼; with N points the error of the net is far below the random one.

@@ -64,7 +64,7 @@ impl Tracer {
         let mut sampler = Sampler::new(*sampler, *seed, x, y, index);
         let u = sampler.film();
         let position = Vec2::new(self.filter.sample(x, film.width, u.x), self.filter.sample(y, film.height, u.y));
-        let camera_ray = self.camera.ray(position);
+        let camera_ray = self.camera.ray(position, || sampler.lens());
         let ray = Ray { origin: camera_ray.origin, direction: camera_ray.direction, t_max: camera_ray.t_max };
         estimator.radiance(lanes, &self.world, ray, &mut sampler)
     }

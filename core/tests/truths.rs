@@ -28,6 +28,7 @@ fn camera(from: Vec3, x: Vec3, y: Vec3, z: Vec3) -> Sensor {
         principal_point_offset: [0.0; 2],
         near_clip: 1e-3,
         far_clip: 1e4,
+        lens: None,
     }
 }
 

@@ -16,7 +16,7 @@ mod validate;
 pub use blobs::{BlobError, Digest, SceneBlobs};
 pub use bsdf::{Bsdf, BsdfId};
 pub use emitter::Emitter;
-pub use sensor::{FovAxis, Sensor};
+pub use sensor::{FovAxis, Lens, Sensor};
 pub use shape::{Geometry, Mesh, MeshId, Shape};
 pub use texture::{FilterType, Image, ImageId, Texels, Texture, TextureId, WrapMode};
 pub use validate::SceneError;
@@ -59,6 +59,7 @@ impl Scene {
             principal_point_offset: [0.0; 2],
             near_clip: 0.01,
             far_clip: 1e4,
+            lens: None,
         };
         Self {
             sensor,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// A camera: where it stands and how wide it sees. Film size is a setting ([`crate::settings::Film`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Sensor {
-    /// A pinhole that looks along +z of its own space, x to the left of the picture, y up, as Mitsuba's `perspective`.
+    /// A pinhole or a lens that looks along +z of its own space, x to the left of the picture, y up, as Mitsuba's `perspective`.
     Perspective {
         /// Camera space to scene coordinates; a scale in it is removed from the directions, as in Mitsuba.
         to_world: Affine3,
@@ -21,7 +21,28 @@ pub enum Sensor {
         near_clip: f32,
         /// Surfaces farther than this along the camera's axis are not seen.
         far_clip: f32,
+        /// Blurs what is out of focus, as Mitsuba's `thinlens`; none for a pinhole.
+        lens: Option<Lens>,
     },
+    /// Parallel rays along +z: the film is the square [−1, 1]² of x and y, or as much of its height as the film's shape asks
+    /// for, as Mitsuba's `orthographic`.
+    Orthographic {
+        /// Camera space to scene coordinates; its scale in x and y is that of the picture.
+        to_world: Affine3,
+        /// Surfaces nearer than this along the camera's axis are not seen.
+        near_clip: f32,
+        /// Surfaces farther than this along the camera's axis are not seen.
+        far_clip: f32,
+    },
+}
+
+/// A thin lens, uniformly lit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lens {
+    /// In scene units.
+    pub aperture_radius: f32,
+    /// Distance of the plane in focus along the camera's axis.
+    pub focus_distance: f32,
 }
 
 /// The extent of the film that a field of view spans.

@@ -69,15 +69,28 @@ impl Scene {
     }
 
     fn validate_sensor(&self) -> Result<(), SceneError> {
-        let Sensor::Perspective { to_world, fov_degrees, principal_point_offset, near_clip, far_clip, .. } =
-            &self.sensor;
+        let (to_world, near_clip, far_clip) = match &self.sensor {
+            Sensor::Perspective {
+                to_world, fov_degrees, principal_point_offset, near_clip, far_clip, lens, ..
+            } => {
+                check(*fov_degrees > 0.0 && *fov_degrees < 180.0, || {
+                    value(
+                        "sensor",
+                        format!("the field of view is {fov_degrees} degrees, it must lie between 0 and 180"),
+                    )
+                })?;
+                check(principal_point_offset.iter().all(|x| x.is_finite()), || {
+                    value("sensor", "the principal point's offset is not finite")
+                })?;
+                let positive = |x: f32| x > 0.0 && x.is_finite();
+                check(lens.is_none_or(|l| positive(l.aperture_radius) && positive(l.focus_distance)), || {
+                    value("sensor", "aperture_radius and focus_distance must be above zero and finite")
+                })?;
+                (to_world, near_clip, far_clip)
+            }
+            Sensor::Orthographic { to_world, near_clip, far_clip } => (to_world, near_clip, far_clip),
+        };
         invertible("sensor", to_world)?;
-        check(*fov_degrees > 0.0 && *fov_degrees < 180.0, || {
-            value("sensor", format!("the field of view is {fov_degrees} degrees, it must lie between 0 and 180"))
-        })?;
-        check(principal_point_offset.iter().all(|x| x.is_finite()), || {
-            value("sensor", "the principal point's offset is not finite")
-        })?;
         check(*near_clip > 0.0 && *near_clip < *far_clip, || {
             value("sensor", format!("near_clip {near_clip} and far_clip {far_clip} must satisfy 0 < near < far"))
         })
