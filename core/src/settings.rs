@@ -87,6 +87,20 @@ pub enum Filter {
         /// Standard deviation.
         stddev: f32,
     },
+    /// Mitchell & Netravali's piecewise cubics (1988), radius 2; negative lobes make samples' weights differ.
+    Mitchell {
+        /// Blur; their recommendation is ⅓.
+        b: f32,
+        /// Ringing; likewise.
+        c: f32,
+    },
+    /// The cubic with B = 0, C = ½, which interpolates; likewise.
+    CatmullRom,
+    /// A sinc, windowed by the middle of a wider one; likewise.
+    Lanczos {
+        /// The number of lobes on each side, and the radius.
+        lobes: f32,
+    },
 }
 
 /// What is estimated for each camera ray.
@@ -155,6 +169,14 @@ pub enum SettingsError {
     /// A filter without extent, or wider than the film may be.
     #[error("the pixel filter's radius is {0} pixels; it must lie above 0 and be at most 16")]
     FilterRadius(f32),
+    /// A cubic filter whose parts do not fit together.
+    #[error("the Mitchell filter's parameters B {b} and C {c} must both lie between 0 and 1")]
+    FilterShape {
+        /// B.
+        b: f32,
+        /// C.
+        c: f32,
+    },
     /// A fixed-point scale that no radiance needs.
     #[error("the film's scale exponent {0} is out of range")]
     Scale(i32),
@@ -185,6 +207,10 @@ impl Settings {
             Err(SettingsError::NoDepth)
         } else if !(radius > 0.0 && radius <= FILTER_RADIUS_MAX) {
             Err(SettingsError::FilterRadius(radius))
+        } else if let Filter::Mitchell { b, c } = *filter
+            && !((0.0..=1.0).contains(&b) && (0.0..=1.0).contains(&c))
+        {
+            Err(SettingsError::FilterShape { b, c })
         } else if self.scale_exponent.abs() > SCALE_EXPONENT_MAX {
             Err(SettingsError::Scale(self.scale_exponent))
         } else {
@@ -200,6 +226,8 @@ impl Filter {
             Filter::Box => 0.5,
             Filter::Tent { radius } => *radius,
             Filter::Gaussian { stddev } => 4.0 * stddev,
+            Filter::Mitchell { .. } | Filter::CatmullRom => 2.0,
+            Filter::Lanczos { lobes } => *lobes,
         }
     }
 }

@@ -63,10 +63,11 @@ impl Tracer {
         let Settings { film, seed, sampler, .. } = &self.settings;
         let mut sampler = Sampler::new(*sampler, *seed, x, y, index);
         let u = sampler.film();
-        let position = Vec2::new(self.filter.sample(x, film.width, u.x), self.filter.sample(y, film.height, u.y));
-        let camera_ray = self.camera.ray(position, || sampler.lens());
+        let (film_x, weight_x) = self.filter.sample(x, film.width, u.x);
+        let (film_y, weight_y) = self.filter.sample(y, film.height, u.y);
+        let camera_ray = self.camera.ray(Vec2::new(film_x, film_y), || sampler.lens());
         let ray = Ray { origin: camera_ray.origin, direction: camera_ray.direction, t_max: camera_ray.t_max };
-        estimator.radiance(lanes, &self.world, ray, &mut sampler)
+        estimator.radiance(lanes, &self.world, ray, &mut sampler) * (weight_x * weight_y)
     }
 }
 
