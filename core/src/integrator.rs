@@ -36,6 +36,8 @@ pub struct Estimator {
 struct Origin {
     /// Where it starts.
     position: Vec3,
+    /// The shading normal there.
+    normal: Vec3,
     /// Density of its direction, in solid angle; infinite where light sampling could not have found it.
     pdf: f32,
 }
@@ -45,7 +47,7 @@ impl Estimator {
     pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
-        let mut origin = Origin { position: ray.origin, pdf: f32::INFINITY };
+        let mut origin = Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY };
         let mut eta = 1.0;
         let mut last_segment = false;
         let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
@@ -93,7 +95,7 @@ impl Estimator {
                 break;
             }
             ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
-            origin = Origin { position: surface.position, pdf: next.pdf };
+            origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
         }
         radiance
     }
@@ -139,7 +141,7 @@ impl Estimator {
         if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
             return emitted * self.weight_of_hit(origin, 0.0);
         }
-        let light_pdf = world.lights.pdf(&world.geometry, origin.position, surface, light);
+        let light_pdf = world.lights.pdf(&world.geometry, origin.position, origin.normal, surface, light);
         emitted * self.weight_of_hit(origin, light_pdf)
     }
 

@@ -3,7 +3,7 @@
 mod tangents;
 
 use crate::bvh::simd::Lanes;
-use crate::bvh::{Ray, TriangleBvh, TriangleHit};
+use crate::bvh::{Aabb, Ray, TriangleBvh, TriangleHit};
 use crate::frame::Frame;
 use crate::scene::{Geometry as Shape, Scene};
 use crate::shape::{Analytic, AnalyticBvh};
@@ -205,6 +205,32 @@ impl Geometry {
     /// The analytic index of a primitive, none for a triangle.
     pub fn analytic_index(&self, primitive: u32) -> Option<u32> {
         primitive.checked_sub(self.triangles.len() as u32)
+    }
+
+    /// A box around a primitive.
+    pub fn bounds(&self, primitive: u32) -> Aabb {
+        match self.analytic_index(primitive) {
+            Some(index) => {
+                let (min, max) = self.analytic[index as usize].bounds();
+                Aabb { min, max }
+            }
+            None => {
+                let vertices = self.triangles[primitive as usize].map(|i| self.positions[i as usize]);
+                vertices.into_iter().fold(Aabb::EMPTY, Aabb::with)
+            }
+        }
+    }
+
+    /// A cone around all shading normals of a primitive: its unit axis and the cosine of its half angle, −1 for all directions.
+    pub fn normal_cone(&self, primitive: u32) -> (Vec3, f32) {
+        let Some(index) = self.analytic_index(primitive) else {
+            let corners = [Vec2::ZERO, Vec2::X, Vec2::Y].map(|b| self.triangle_surface(primitive, b).frame.n);
+            let Some(axis) = (corners[0] + corners[1] + corners[2]).try_normalize() else { return (Vec3::Z, -1.0) };
+            let cosine = corners.into_iter().fold(1.0, |least: f32, n| least.min(axis.dot(n)));
+            // Flat ones keep their sharp edge; the others have room for rounding.
+            return if cosine > 1.0 - 1e-6 { (axis, 1.0) } else { (axis, (cosine - 1e-4).max(-1.0)) };
+        };
+        self.analytic[index as usize].one_normal().map_or((Vec3::Z, -1.0), |normal| (normal, 1.0))
     }
 
     /// Area of a primitive.

@@ -1,40 +1,33 @@
 //! The lights of a scene: which to sample, where on it, and how likely that was.
 //!
-//! A light is what has one density: a triangle or analytic surface that emits, a point, a direction, the background. They are
-//! chosen in proportion to their power.
+//! A light is what has one density: a triangle or analytic surface that emits, a point, a direction, the background.
 
 mod alias;
 mod background;
+mod choice;
 mod environment;
+mod list;
+mod spot;
+mod tree;
 
 use crate::bvh::Ray;
 use crate::geometry::Geometry;
-use crate::scene::{Emitter, Scene, TextureId};
+use crate::scene::{Scene, TextureId};
 use crate::shape::area_to_solid_angle;
 use crate::surface::Surface;
 use crate::texture::Textures;
 use crate::warp::uniform_triangle;
-use alias::AliasTable;
 use background::Background;
-use environment::Environment;
+use choice::Choice;
 use glam::{Vec2, Vec3};
-use std::f32::consts::PI;
+use list::Light;
 
 /// All lights and their probabilities.
 pub struct Lights {
     lights: Vec<Light>,
-    choice: AliasTable,
-    /// The background and the index of its light.
-    background: Option<(Background, u32)>,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Light {
-    Triangle { triangle: u32, area: f32, radiance: TextureId },
-    Analytic { index: u32, radiance: TextureId },
-    Background,
-    Point { position: Vec3, intensity: Vec3 },
-    Directional { direction: Vec3, irradiance: Vec3 },
+    choice: Choice,
+    /// The background and the probability to choose it.
+    background: Option<(Background, f32)>,
 }
 
 /// Light that reaches a surface along one ray, if nothing is in between.
@@ -70,47 +63,12 @@ impl Lights {
 
     /// Lists the lights of a scene, surfaces first.
     pub fn new(scene: &Scene, geometry: &Geometry, textures: &Textures) -> Self {
-        let mut lights = Vec::new();
-        let mut powers = Vec::new();
-        for (i, shape) in scene.shapes.iter().enumerate() {
-            let Some(radiance) = shape.radiance else { continue };
-            let brightness = luminance(textures.mean(radiance));
-            for primitive in geometry.primitives(i) {
-                let area = geometry.area(primitive);
-                lights.push(match geometry.analytic_index(primitive) {
-                    Some(index) => Light::Analytic { index, radiance },
-                    None => Light::Triangle { triangle: primitive, area, radiance },
-                });
-                powers.push(PI * area * brightness);
-            }
-        }
-        let (_, radius) = geometry.bounding_ball();
-        let across = PI * radius * radius;
-        let mut background = None;
-        let mut add_background = |around: Background, index: usize| {
-            let power = 4.0 * PI * across * around.mean_luminance();
-            background = Some((around, index as u32));
-            (Light::Background, power)
-        };
-        for emitter in &scene.emitters {
-            let (light, power) = match *emitter {
-                Emitter::Constant { radiance } => add_background(Background::Constant(radiance), lights.len()),
-                Emitter::Envmap { image, scale, to_world } => {
-                    let image = scene.images[image.0 as usize].clone();
-                    let map = Environment::new(textures, image, scale, to_world);
-                    add_background(Background::Environment(map), lights.len())
-                }
-                Emitter::Point { position, intensity } => {
-                    (Light::Point { position, intensity }, 4.0 * PI * luminance(intensity))
-                }
-                Emitter::Directional { direction, irradiance } => {
-                    (Light::Directional { direction, irradiance }, across * luminance(irradiance))
-                }
-            };
-            lights.push(light);
-            powers.push(power);
-        }
-        Self { lights, choice: AliasTable::new(&powers), background }
+        let (listed, background) = list::list(scene, geometry, textures);
+        let choice = Choice::new(&listed);
+        let around = listed.iter().position(|l| matches!(l.light, Light::Background));
+        let probability = around.map_or(0.0, |i| choice.probability(i as u32, Vec3::ZERO, Vec3::ZERO));
+        let background = background.map(|background| (background, probability));
+        Self { lights: listed.into_iter().map(|l| l.light).collect(), choice, background }
     }
 
     /// Light to the surface from a light chosen by `choice`, at its point chosen by `u`; none where none can come. With `mis`
@@ -125,7 +83,7 @@ impl Lights {
         u: Vec2,
         mis: bool,
     ) -> Option<LightSample> {
-        let (i, probability) = self.choice.sample(choice)?;
+        let (i, probability) = self.choice.sample(choice, surface.position, surface.frame.n)?;
         match self.lights[i as usize] {
             Light::Triangle { triangle, area, radiance } => {
                 let point = geometry.triangle_surface(triangle, uniform_triangle(u));
@@ -145,18 +103,8 @@ impl Lights {
                 let shadow_ray = surface.ray(wi, f32::INFINITY);
                 (pdf > 0.0).then(|| LightSample { wi, weight: radiance / pdf, pdf, shadow_ray })
             }
-            Light::Point { position, intensity } => {
-                let shadow_ray = surface.ray_to_point(position);
-                let towards = position - surface.position;
-                let squared = towards.length_squared();
-                let weight = intensity / (squared * probability);
-                (squared > 0.0).then(|| LightSample {
-                    wi: towards / squared.sqrt(),
-                    weight,
-                    pdf: f32::INFINITY,
-                    shadow_ray,
-                })
-            }
+            Light::Point { position, intensity } => from_point(surface, position, probability, |_| intensity),
+            Light::Spot(ref spot) => from_point(surface, spot.position, probability, |w| spot.intensity(textures, w)),
             Light::Directional { direction, irradiance } => Some(LightSample {
                 wi: -direction,
                 weight: irradiance / probability,
@@ -166,15 +114,16 @@ impl Lights {
         }
     }
 
-    /// Density in solid angle with which [`Lights::sample`] finds the emitting point `point` from `from`.
+    /// Density in solid angle with which [`Lights::sample`] finds the emitting point `point` from a surface at `from` with the
+    /// shading normal `normal`.
     #[inline]
-    pub fn pdf(&self, geometry: &Geometry, from: Vec3, point: &Surface, light: u32) -> f32 {
+    pub fn pdf(&self, geometry: &Geometry, from: Vec3, normal: Vec3, point: &Surface, light: u32) -> f32 {
         let density = match self.lights[light as usize] {
             Light::Triangle { area, .. } => area_to_solid_angle(1.0 / area, from, point.position, point.normal),
             Light::Analytic { index, .. } => geometry.analytic(index).pdf(from, point.position, point.normal),
-            Light::Background | Light::Point { .. } | Light::Directional { .. } => 0.0,
+            Light::Background | Light::Point { .. } | Light::Spot(_) | Light::Directional { .. } => 0.0,
         };
-        density * self.choice.probability(light)
+        density * self.choice.probability(light, from, normal)
     }
 
     /// Radiance that an emitting point sends towards `wo` (a unit vector): from the side of its shading normal.
@@ -192,9 +141,9 @@ impl Lights {
     /// where nothing shines there.
     #[inline]
     pub fn background(&self, textures: &Textures, wi: Vec3, mis: bool) -> Option<(Vec3, f32)> {
-        let (background, light) = self.background.as_ref()?;
+        let (background, probability) = self.background.as_ref()?;
         let (radiance, pdf) = background.at(textures, wi, mis);
-        Some((radiance, pdf * self.choice.probability(*light)))
+        Some((radiance, pdf * probability))
     }
 
     /// How many there are.
@@ -222,6 +171,29 @@ fn from_surface(
     }
     let weight = textures.at(radiance, point.uv) / pdf;
     Some(LightSample { wi, weight, pdf, shadow_ray: surface.ray_to(point) })
+}
+
+/// Light from a point, of the intensity that it has in the direction to the surface.
+#[inline]
+fn from_point(
+    surface: &Surface,
+    position: Vec3,
+    probability: f32,
+    intensity: impl FnOnce(Vec3) -> Vec3,
+) -> Option<LightSample> {
+    let towards = position - surface.position;
+    let squared = towards.length_squared();
+    if squared == 0.0 {
+        return None;
+    }
+    let wi = towards / squared.sqrt();
+    let weight = intensity(-wi) / (squared * probability);
+    (weight != Vec3::ZERO).then(|| LightSample {
+        wi,
+        weight,
+        pdf: f32::INFINITY,
+        shadow_ray: surface.ray_to_point(position),
+    })
 }
 
 /// Luminance of linear sRGB (ITU-R BT.709).

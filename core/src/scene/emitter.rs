@@ -1,7 +1,7 @@
 //! Lights that are not surfaces.
 
-use super::ImageId;
-use glam::{Mat3, Vec3};
+use super::{ImageId, TextureId};
+use glam::{Affine3, Mat3, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// A light without a surface. Values are linear sRGB.
@@ -27,6 +27,30 @@ pub enum Emitter {
         position: Vec3,
         /// Radiant intensity (W·sr⁻¹), for distances in scene units.
         intensity: Vec3,
+    },
+    /// A point that shines into a cone around its +z axis, as Mitsuba's `spot`.
+    Spot {
+        /// The light's space to the scene's, without scale.
+        to_world: Affine3,
+        /// Radiant intensity on the axis (W·sr⁻¹).
+        intensity: Vec3,
+        /// Angle to the axis at which it ends, below 90.
+        cutoff_degrees: f32,
+        /// Angle to the axis up to which it is constant; from there it falls linearly with the angle.
+        beam_width_degrees: f32,
+        /// A factor over the square around the cone, at z > 0.
+        texture: Option<TextureId>,
+    },
+    /// A point that throws an image along its +z axis, as Mitsuba's `projector`.
+    Projector {
+        /// The light's space to the scene's, without scale.
+        to_world: Affine3,
+        /// The image; the plane z = 1 gets π times its value (W·m⁻²). Its u runs along −x, its v along −y.
+        irradiance: TextureId,
+        /// Factor on it.
+        scale: f32,
+        /// Half the image's width and height on the plane z = 1.
+        half_extent: [f32; 2],
     },
     /// Parallel light.
     Directional {

@@ -114,6 +114,25 @@ impl Scene {
                 finite(what, *position)?;
                 finite(what, *intensity)
             }
+            Emitter::Spot { to_world, intensity, cutoff_degrees, beam_width_degrees, texture } => {
+                invertible(what, to_world)?;
+                finite(what, *intensity)?;
+                texture.iter().try_for_each(|id| index(what, "texture", id.0, self.textures.len()))?;
+                let ordered = 0.0 <= *beam_width_degrees && beam_width_degrees <= cutoff_degrees;
+                check(ordered && *cutoff_degrees > 0.0 && *cutoff_degrees < 90.0, || {
+                    value(
+                        what,
+                        "its angles must satisfy 0 ≤ beam_width ≤ cutoff_angle and 0 < cutoff_angle < 90 degrees",
+                    )
+                })
+            }
+            Emitter::Projector { to_world, irradiance, scale, half_extent } => {
+                invertible(what, to_world)?;
+                index(what, "texture", irradiance.0, self.textures.len())?;
+                check(scale.is_finite() && half_extent.iter().all(|&x| x > 0.0 && x.is_finite()), || {
+                    value(what, "its scale must be finite and its extent above zero")
+                })
+            }
             Emitter::Directional { direction, irradiance } => {
                 finite(what, *direction)?;
                 finite(what, *irradiance)

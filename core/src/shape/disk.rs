@@ -36,6 +36,11 @@ impl Disk {
         (centre - reach, centre + reach)
     }
 
+    /// Unit normal.
+    pub fn normal(&self) -> Vec3 {
+        self.normal
+    }
+
     /// Surface area.
     pub fn area(&self) -> f32 {
         self.area

@@ -77,6 +77,14 @@ impl Analytic {
         }
     }
 
+    /// The normal, where it is the same everywhere.
+    pub fn one_normal(&self) -> Option<Vec3> {
+        match self {
+            Self::Sphere(_) => None,
+            Self::Disk(disk) => Some(disk.normal()),
+        }
+    }
+
     /// Surface area.
     pub fn area(&self) -> f32 {
         match self {
