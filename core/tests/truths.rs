@@ -156,6 +156,40 @@ fn an_environment_lights_alike_under_every_strategy() {
     }
 }
 
+/// A field of small lamps over a plane, some dark, one bright: chosen by the tree they light it as cosine sampling finds them,
+/// which knows of no light.
+#[test]
+fn many_lights_light_as_brute_force_says() {
+    let plane = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(50.0)), flip_normals: false };
+    let mut lit = scene(camera(Vec3::Z * 0.9, Vec3::X, -Vec3::Y, -Vec3::Z), 0.5, vec![shape(plane, false)]);
+    lit.textures.extend([Texture::Constant(Vec3::ZERO), Texture::Constant(Vec3::splat(20.0))]);
+    let mut lamps = [Mesh::default(), Mesh::default(), Mesh::default()];
+    for i in 0..64u32 {
+        let kind = if i == 27 { 2 } else { (i % 5 == 0) as usize };
+        let at = Vec3::new((i % 8) as f32 - 3.5, (i / 8) as f32 - 3.5, 1.0 + (i % 3) as f32 * 0.3);
+        let first = lamps[kind].positions.len() as u32;
+        let tilt = Vec3::new(0.0, 0.0, 0.2 * (i % 4) as f32);
+        lamps[kind].positions.extend([at, at + Vec3::Y * 0.5 + tilt, at + Vec3::X * 0.5]);
+        lamps[kind].triangles.push([first, first + 1, first + 2]);
+    }
+    for (i, mesh) in lamps.into_iter().enumerate() {
+        let radiance = Some(TextureId(i as u32 + 1));
+        lit.meshes.push(Arc::new(mesh));
+        lit.shapes.push(Shape { radiance, ..shape(Geometry::Mesh(MeshId(i as u32)), true) });
+    }
+    let mut direct = settings(16, 1 << 12, Strategy::Cosine);
+    direct.integrator.kind = IntegratorKind::Direct;
+    let (truth, allowed) = mean_and_error(&render(&lit, &direct));
+    for strategy in [Strategy::Light, Strategy::Mis] {
+        let (mean, error) = mean_and_error(&render(&lit, &Settings { spp: 256, strategy, ..direct.clone() }));
+        assert!(
+            (mean - truth).abs() < 4.0 * (error + allowed),
+            "{strategy:?}: {mean} ± {error} for {truth} ± {allowed}"
+        );
+        assert!(error + allowed < 0.005 * truth, "{strategy:?}: ± {error} for {truth} ± {allowed}");
+    }
+}
+
 /// Irradiance I cos θ / d² from a point light, E cos θ from parallel light, times albedo/π; depth 2 is direct light.
 #[test]
 fn delta_lights_have_their_formulas() {

@@ -137,7 +137,7 @@ impl Geometry {
         let shape = self.triangle_shapes[triangle as usize];
         let table = &self.shapes[shape as usize];
         let vertices = self.triangles[triangle as usize];
-        let [p0, p1, p2] = vertices.map(|i| self.positions[i as usize]);
+        let [p0, p1, p2] = self.vertices(triangle);
         let weights = [1.0 - b.x - b.y, b.x, b.y];
         let parts = [p0 * weights[0], p1 * weights[1], p2 * weights[2]];
         let normal = (p1 - p0).cross(p2 - p0).normalize();
@@ -214,10 +214,7 @@ impl Geometry {
                 let (min, max) = self.analytic[index as usize].bounds();
                 Aabb { min, max }
             }
-            None => {
-                let vertices = self.triangles[primitive as usize].map(|i| self.positions[i as usize]);
-                vertices.into_iter().fold(Aabb::EMPTY, Aabb::with)
-            }
+            None => self.vertices(primitive).into_iter().fold(Aabb::EMPTY, Aabb::with),
         }
     }
 
@@ -241,10 +238,16 @@ impl Geometry {
         }
     }
 
+    /// The vertices of a triangle.
+    #[inline]
+    pub fn vertices(&self, triangle: u32) -> [Vec3; 3] {
+        self.triangles[triangle as usize].map(|i| self.positions[i as usize])
+    }
+
     /// Area of a triangle.
     #[inline]
     pub fn triangle_area(&self, triangle: u32) -> f32 {
-        let [p0, p1, p2] = self.triangles[triangle as usize].map(|i| self.positions[i as usize]);
+        let [p0, p1, p2] = self.vertices(triangle);
         0.5 * (p1 - p0).cross(p2 - p0).length()
     }
 

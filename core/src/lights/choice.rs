@@ -5,8 +5,9 @@ use super::list::Listed;
 use super::tree::LightTree;
 use glam::Vec3;
 
-/// From this many lights on a tree chooses.
-const TREE_FROM: usize = 32;
+/// From this many lights on a tree chooses. Measured by variance times time in a box lit by square lamps, two triangles each:
+/// with one lamp the tree costs 15 % and gains nothing; with 2, 8 and 128 lamps it gains 25, 50 and 45 %.
+const TREE_FROM: usize = 4;
 
 /// Stands for "not in the tree".
 const NONE: u32 = u32::MAX;

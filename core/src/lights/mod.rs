@@ -9,6 +9,7 @@ mod environment;
 mod list;
 mod spot;
 mod tree;
+mod triangle;
 
 use crate::bvh::Ray;
 use crate::geometry::Geometry;
@@ -16,7 +17,6 @@ use crate::scene::{Scene, TextureId};
 use crate::shape::area_to_solid_angle;
 use crate::surface::Surface;
 use crate::texture::Textures;
-use crate::warp::uniform_triangle;
 use background::Background;
 use choice::Choice;
 use glam::{Vec2, Vec3};
@@ -86,8 +86,11 @@ impl Lights {
         let (i, probability) = self.choice.sample(choice, surface.position, surface.frame.n)?;
         match self.lights[i as usize] {
             Light::Triangle { triangle, area, radiance } => {
-                let point = geometry.triangle_surface(triangle, uniform_triangle(u));
-                let pdf = area_to_solid_angle(1.0 / area, surface.position, point.position, point.normal);
+                let vertices = geometry.vertices(triangle);
+                let (b, density) = triangle::sample(vertices, surface.position, u);
+                let point = geometry.triangle_surface(triangle, b);
+                let pdf = density
+                    .unwrap_or_else(|| area_to_solid_angle(1.0 / area, surface.position, point.position, point.normal));
                 from_surface(textures, radiance, surface, &point, pdf * probability)
             }
             Light::Analytic { index, radiance } => {
@@ -119,7 +122,9 @@ impl Lights {
     #[inline]
     pub fn pdf(&self, geometry: &Geometry, from: Vec3, normal: Vec3, point: &Surface, light: u32) -> f32 {
         let density = match self.lights[light as usize] {
-            Light::Triangle { area, .. } => area_to_solid_angle(1.0 / area, from, point.position, point.normal),
+            Light::Triangle { triangle, area, .. } => {
+                triangle::pdf(geometry.vertices(triangle), from, point.position, area, point.normal)
+            }
             Light::Analytic { index, .. } => geometry.analytic(index).pdf(from, point.position, point.normal),
             Light::Background | Light::Point { .. } | Light::Spot(_) | Light::Directional { .. } => 0.0,
         };

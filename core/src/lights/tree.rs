@@ -21,11 +21,23 @@ pub struct LightTree {
 
 #[derive(Clone, Copy, Debug)]
 struct Node {
-    reach: Reach,
+    lobe: Lobe,
     /// The second child (the first follows its parent), or the light.
     next: u32,
     parent: u32,
     is_leaf: bool,
+}
+
+/// A [`Reach`] as the descent wants it: the ball around its box, and the sine beside the cosine.
+#[derive(Clone, Copy, Debug)]
+struct Lobe {
+    centre: Vec3,
+    radius2: f32,
+    axis: Vec3,
+    cos_normals: f32,
+    sin_normals: f32,
+    cos_emission: f32,
+    intensity: f32,
 }
 
 impl LightTree {
@@ -42,13 +54,13 @@ impl LightTree {
         let index = self.nodes.len() as u32;
         if let [light] = *order {
             self.leaves[light as usize] = index;
-            self.nodes.push(Node { reach: lights[light as usize], next: light, parent, is_leaf: true });
+            self.nodes.push(Node { lobe: Lobe::new(&lights[light as usize]), next: light, parent, is_leaf: true });
             return;
         }
         let middle = if depth < DEPTH_MAX { split(lights, order) } else { None };
         let middle = middle.unwrap_or(order.len() / 2);
         let reach = union_of(order.iter().map(|&i| lights[i as usize]));
-        self.nodes.push(Node { reach, next: 0, parent, is_leaf: false });
+        self.nodes.push(Node { lobe: Lobe::new(&reach), next: 0, parent, is_leaf: false });
         let (first, second) = order.split_at_mut(middle);
         self.build(lights, first, index, depth + 1);
         self.nodes[index as usize].next = self.nodes.len() as u32;
@@ -95,43 +107,56 @@ impl LightTree {
     /// The probability of an inner node's first child; none where neither can shine.
     #[inline]
     fn share_of_first(&self, index: u32, position: Vec3, normal: Vec3) -> Option<f32> {
-        let first = self.nodes[index as usize + 1].reach.importance(position, normal);
-        let second = self.nodes[self.nodes[index as usize].next as usize].reach.importance(position, normal);
+        let first = self.nodes[index as usize + 1].lobe.importance(position, normal);
+        let second = self.nodes[self.nodes[index as usize].next as usize].lobe.importance(position, normal);
         let sum = first + second;
         (sum > 0.0).then(|| first / sum)
     }
 }
 
-impl Reach {
+impl Lobe {
+    fn new(reach: &Reach) -> Self {
+        let Reach { bounds, axis, cos_normals, cos_emission, intensity } = *reach;
+        let size2 = (bounds.max - bounds.min).length_squared();
+        Self {
+            centre: 0.5 * (bounds.min + bounds.max),
+            // A point gets a ball too, so that the point itself has an importance.
+            radius2: (0.25 * size2).max(f32::MIN_POSITIVE),
+            axis,
+            cos_normals,
+            sin_normals: sine(cos_normals),
+            cos_emission,
+            intensity,
+        }
+    }
+
     /// About the irradiance that it may cause at a point, up to a factor; zero only where it causes none. Lights behind the
     /// surface count like those before it, since the surface may transmit.
     #[inline]
     fn importance(&self, position: Vec3, normal: Vec3) -> f32 {
-        let centre = 0.5 * (self.bounds.min + self.bounds.max);
-        let radius2 = 0.25 * (self.bounds.max - self.bounds.min).length_squared();
-        let towards = position - centre;
+        let towards = position - self.centre;
         let distance2 = towards.length_squared();
-        if distance2 <= radius2 || distance2 == 0.0 {
-            // Within the ball around it anything may be near, and anywhere.
-            return self.intensity / radius2.max(f32::MIN_POSITIVE);
+        if distance2 <= self.radius2 {
+            // Within the ball anything may be near, and anywhere.
+            return self.intensity / self.radius2;
         }
-        let w = towards / distance2.sqrt();
+        let inverse2 = 1.0 / distance2;
+        let w = towards * inverse2.sqrt();
         // The angle that the ball fills.
-        let sin2_ball = radius2 / distance2;
-        let (sin_ball, cos_ball) = (sin2_ball.sqrt(), (1.0 - sin2_ball).sqrt());
-        let (cos_normals, sin_normals) = (self.cos_normals, sine(self.cos_normals));
-        let cos_axis = self.axis.dot(w);
+        let sin2_ball = (self.radius2 * inverse2).min(1.0);
+        let ball = ((1.0 - sin2_ball).sqrt(), sin2_ball.sqrt());
         // The least angle between a normal and a direction to the point.
-        let (cos, sin) = less((cos_axis, sine(cos_axis)), (cos_normals, sin_normals));
-        let (cos, _) = less((cos, sin), (cos_ball, sin_ball));
-        if cos < self.cos_emission || cos <= 0.0 {
-            return 0.0;
-        }
+        let cos_axis = self.axis.dot(w);
+        let to_cone = less((cos_axis, sine(cos_axis)), (self.cos_normals, self.sin_normals));
+        let (cos, _) = less(to_cone, ball);
         let cos_surface = normal.dot(w).abs();
-        let (cos_surface, _) = less((cos_surface, sine(cos_surface)), (cos_ball, sin_ball));
-        self.intensity * cos * cos_surface / distance2
+        let (cos_surface, _) = less((cos_surface, sine(cos_surface)), ball);
+        let shines = cos >= self.cos_emission && cos > 0.0;
+        if shines { self.intensity * cos * cos_surface * inverse2 } else { 0.0 }
     }
+}
 
+impl Reach {
     /// The smallest bounds that hold both, about.
     fn union(&self, other: &Self) -> Self {
         let (axis, cos_normals) = union_of_cones((self.axis, self.cos_normals), (other.axis, other.cos_normals));
@@ -164,10 +189,13 @@ fn sine(cosine: f32) -> f32 {
     (1.0 - cosine * cosine).max(0.0).sqrt()
 }
 
-/// Cosine and sine of max(0, a − b), of the cosines and sines of two angles in [0, π].
+/// Cosine and sine of max(0, a − b), of the cosines and sines of two angles in [0, π]. Selected, not branched: which angle is
+/// larger is as good as random.
 #[inline]
 fn less(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
-    if a.0 >= b.0 { (1.0, 0.0) } else { (a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1) }
+    let (cos, sin) = (a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1);
+    let none = a.0 >= b.0;
+    (if none { 1.0 } else { cos }, if none { 0.0 } else { sin })
 }
 
 fn union_of(reaches: impl Iterator<Item = Reach>) -> Reach {
@@ -302,7 +330,7 @@ mod tests {
         let mut culled = 0;
         for (position, normal) in points() {
             for (i, light) in lights.iter().enumerate() {
-                if light.importance(position, normal) > 1e-6 {
+                if Lobe::new(light).importance(position, normal) > 1e-6 {
                     assert!(tree.probability(i as u32, position, normal) > 0.0, "light {i} at {position}");
                 } else {
                     culled += 1;

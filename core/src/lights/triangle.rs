@@ -1,0 +1,136 @@
+//! Triangles as lights: uniform over the directions they fill, or over their area where that does not pay.
+
+use crate::shape::area_to_solid_angle;
+use crate::warp::uniform_triangle;
+use glam::{Vec2, Vec3};
+
+/// Below this solid angle the area density is almost as good and f32 cannot tell the triangle's angles; above, the triangle
+/// fills nearly a hemisphere and its sides' planes coincide (Pharr, Jakob & Humphreys 2023, §6.5.4).
+const SOLID_ANGLES: std::ops::Range<f32> = 3e-4..6.22;
+
+/// A point of the triangle to light `from` from: the barycentric coordinates of vertices 1 and 2, and its density in solid angle
+/// where that does not depend on the point (else the density is [`pdf`]'s).
+#[inline]
+pub fn sample(vertices: [Vec3; 3], from: Vec3, u: Vec2) -> (Vec2, Option<f32>) {
+    let corners = Corners::new(vertices, from);
+    match corners.solid_angle {
+        Some(area) => (barycentric(vertices, from, corners.sample(area, u)), Some(1.0 / area)),
+        None => (uniform_triangle(u), None),
+    }
+}
+
+/// The density of [`sample`] in solid angle at a `point` of the triangle, whose area and unit normal are given.
+#[inline]
+pub fn pdf(vertices: [Vec3; 3], from: Vec3, point: Vec3, area: f32, normal: Vec3) -> f32 {
+    match Corners::new(vertices, from).solid_angle {
+        Some(solid_angle) => 1.0 / solid_angle,
+        None => area_to_solid_angle(1.0 / area, from, point, normal),
+    }
+}
+
+/// A triangle as a point sees it.
+struct Corners {
+    /// Unit directions to the vertices.
+    directions: [Vec3; 3],
+    /// None outside [`SOLID_ANGLES`].
+    solid_angle: Option<f32>,
+}
+
+impl Corners {
+    /// The solid angle is that of Van Oosterom & Strackee 1983: tan(Ω/2) = |a·(b×c)| / (1 + a·b + b·c + c·a).
+    #[inline]
+    fn new(vertices: [Vec3; 3], from: Vec3) -> Self {
+        let directions @ [a, b, c] = vertices.map(|v| (v - from).normalize_or_zero());
+        let volume = a.dot(b.cross(c)).abs();
+        let sum = 1.0 + a.dot(b) + b.dot(c) + c.dot(a);
+        // Cheaply: what is small need not be measured.
+        if sum > 0.0 && 2.0 * volume < SOLID_ANGLES.start * sum {
+            return Self { directions, solid_angle: None };
+        }
+        let solid_angle = 2.0 * libm::atan2f(volume, sum);
+        Self { directions, solid_angle: Some(solid_angle).filter(|area| SOLID_ANGLES.contains(area)) }
+    }
+
+    /// A direction uniform over the spherical triangle of this area (Arvo 1995, "Stratified Sampling of Spherical Triangles").
+    #[inline]
+    fn sample(&self, area: f32, u: Vec2) -> Vec3 {
+        let [a, b, c] = self.directions;
+        // The angle α at a, between the planes of its two sides.
+        let (to_b, to_c) = (orthogonal(b, a), orthogonal(c, a));
+        let (cos_alpha, sin_alpha) = (to_b.dot(to_c), to_b.cross(to_c).length());
+        // Move c along its side to c', so that a, b, c' has the area u.x · area.
+        let (sin_part, cos_part) = libm::sincosf(u.x * area);
+        let (s, t) = (sin_part * cos_alpha - cos_part * sin_alpha, cos_part * cos_alpha + sin_part * sin_alpha);
+        let (p, q) = (t - cos_alpha, s + sin_alpha * a.dot(b));
+        let denominator = (q * s + p * t) * sin_alpha;
+        let cos_side = if denominator == 0.0 { a.dot(c) } else { ((q * t - p * s) * cos_alpha - q) / denominator };
+        let cos_side = cos_side.clamp(-1.0, 1.0);
+        let moved = a * cos_side + to_c * (1.0 - cos_side * cos_side).max(0.0).sqrt();
+        // Then a point on the arc from b to c'.
+        let z = 1.0 - u.y * (1.0 - moved.dot(b));
+        b * z + orthogonal(moved, b) * (1.0 - z * z).max(0.0).sqrt()
+    }
+}
+
+/// The unit vector of `v` across `axis`.
+#[inline]
+fn orthogonal(v: Vec3, axis: Vec3) -> Vec3 {
+    (v - axis * v.dot(axis)).normalize_or_zero()
+}
+
+/// Where a direction meets the triangle's plane, brought inside against rounding.
+#[inline]
+fn barycentric([p0, p1, p2]: [Vec3; 3], from: Vec3, direction: Vec3) -> Vec2 {
+    let (e1, e2) = (p1 - p0, p2 - p0);
+    let across = direction.cross(e2);
+    let determinant = across.dot(e1);
+    if determinant == 0.0 {
+        return Vec2::splat(1.0 / 3.0);
+    }
+    let s = from - p0;
+    let b1 = (s.dot(across) / determinant).clamp(0.0, 1.0);
+    let b2 = (direction.dot(s.cross(e1)) / determinant).clamp(0.0, 1.0);
+    Vec2::new(b1, b2) / (b1 + b2).max(1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TRIANGLE: [Vec3; 3] = [Vec3::new(0.3, 0.2, 0.1), Vec3::new(2.0, 0.4, -0.5), Vec3::new(0.1, 1.5, 0.7)];
+
+    /// Any function over the triangle has the same integral by both densities: E[f/pdf] of the spherical samples is that of
+    /// area samples, near and far; and `pdf` is the density that `sample` names. Fails if a corner's angle is wrong.
+    #[test]
+    fn integrals_are_those_by_area() {
+        let [p0, p1, p2] = TRIANGLE;
+        let across = (p1 - p0).cross(p2 - p0);
+        let (area, normal) = (0.5 * across.length(), across.normalize());
+        for from in [Vec3::new(1.0, 0.6, 0.8), Vec3::new(0.0, 0.1, 0.4), Vec3::new(-3.0, 2.0, 5.0)] {
+            let at = |b: Vec2| p0 + (p1 - p0) * b.x + (p2 - p0) * b.y;
+            let functions: [fn(Vec2) -> f32; 3] = [|_| 1.0, |b| b.x, |b| b.y * b.y];
+            let (mut spherical, mut flat) = ([0.0; 3], [0.0; 3]);
+            let n = 400;
+            for i in 0..n * n {
+                let u = Vec2::new((i / n) as f32 + 0.5, (i % n) as f32 + 0.5) / n as f32;
+                let (b, density) = sample(TRIANGLE, from, u);
+                let again = pdf(TRIANGLE, from, at(b), area, normal);
+                assert_eq!(density, Some(again));
+                let by_area = uniform_triangle(u);
+                let area_density = area_to_solid_angle(1.0 / area, from, at(by_area), normal);
+                for (k, f) in functions.iter().enumerate() {
+                    spherical[k] += f64::from(f(b) / again);
+                    flat[k] += f64::from(f(by_area) / area_density);
+                }
+            }
+            for (a, b) in spherical.iter().zip(flat) {
+                assert!((a - b).abs() < 0.003 * b, "from {from}: {spherical:?}, {flat:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn tiny_triangles_are_sampled_by_area() {
+        assert!(sample(TRIANGLE, Vec3::splat(300.0), Vec2::splat(0.3)).1.is_none());
+    }
+}
