@@ -81,6 +81,7 @@ impl PlacedSensor {
             principal_point_offset: self.principal_point_offset.map(|x| x as f32),
             near_clip: self.near_clip as f32,
             far_clip: self.far_clip as f32,
+            lens: None,
         }
     }
 }

@@ -237,7 +237,7 @@ fn the_sensor_with_film_filter_and_sampler() {
          <integer name='crop_offset_x' value='10'/><integer name='crop_width' value='20'/><rfilter type='tent'/></film>\
          <sampler type='stratified'><integer name='sample_count' value='16'/></sampler></sensor>",
     );
-    let Sensor::Perspective { fov_degrees, fov_axis, near_clip, far_clip, .. } = loaded.scene.sensor;
+    let Sensor::Perspective { fov_degrees, fov_axis, near_clip, far_clip, .. } = loaded.scene.sensor else { panic!() };
     assert_eq!((fov_degrees, fov_axis, near_clip, far_clip), (30.0, FovAxis::Diagonal, 0.01, 10000.0));
     let film = &loaded.settings.film;
     assert_eq!((film.width, film.height, film.crop), (100, 50, Window { x0: 10, y0: 0, x1: 30, y1: 50 }));
@@ -249,7 +249,7 @@ fn the_sensor_with_film_filter_and_sampler() {
 #[test]
 fn a_sensor_without_anything_has_mitsubas_defaults() {
     let loaded = scene("<sensor type='perspective'/>");
-    let Sensor::Perspective { fov_degrees, fov_axis, .. } = loaded.scene.sensor;
+    let Sensor::Perspective { fov_degrees, fov_axis, .. } = loaded.scene.sensor else { panic!() };
     // 50 mm on the diagonal of 36 × 24 mm; Mitsuba says 38.1848° for the width of 768 × 576.
     assert_eq!(fov_axis, FovAxis::Diagonal);
     let half_width = (fov_degrees.to_radians() / 2.0).tan() * 0.8;

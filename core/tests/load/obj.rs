@@ -52,7 +52,9 @@ fn the_camera_sees_the_whole_box() {
         [TRIANGLE_OBJ, "v -50 0 -9\nv 70 1 0\nv 0 300 5\nf 1 2 3\n", "v 0 0 0\nv 1e-3 0 0\nv 0 0 1e-3\nf 1 2 3\n"]
     {
         let loaded = load_files(&[("a.obj", obj.as_bytes())], &[]).unwrap();
-        let Sensor::Perspective { to_world, fov_degrees, near_clip, far_clip, .. } = loaded.scene.sensor;
+        let Sensor::Perspective { to_world, fov_degrees, near_clip, far_clip, .. } = loaded.scene.sensor else {
+            panic!()
+        };
         let to_camera = to_world.inverse();
         let tan_y = (fov_degrees.to_radians() / 2.0).tan();
         let mut largest = 0f32;
