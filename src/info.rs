@@ -74,6 +74,7 @@ fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
             Geometry::Mesh(_) => "mesh",
             Geometry::Sphere { .. } => "sphere",
             Geometry::Disk { .. } => "disk",
+            Geometry::Cylinder { .. } => "cylinder",
         })),
         triangles: meshes().map(|mesh| mesh.triangles.len()).sum(),
         materials: count(scene.bsdfs.iter().map(bsdf_name)),
@@ -89,7 +90,7 @@ fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
 fn mesh_of<'a>(scene: &'a Scene, geometry: &Geometry) -> Option<&'a Mesh> {
     match geometry {
         Geometry::Mesh(id) => scene.meshes.get(id.0 as usize).map(|mesh| &**mesh),
-        Geometry::Sphere { .. } | Geometry::Disk { .. } => None,
+        Geometry::Sphere { .. } | Geometry::Disk { .. } | Geometry::Cylinder { .. } => None,
     }
 }
 
@@ -130,7 +131,10 @@ fn texture_name(texture: &Texture) -> Option<&'static str> {
 fn emitter_name(emitter: &Emitter) -> &'static str {
     match emitter {
         Emitter::Constant { .. } => "constant",
+        Emitter::Envmap { .. } => "envmap",
         Emitter::Point { .. } => "point",
+        Emitter::Spot { .. } => "spot",
+        Emitter::Projector { .. } => "projector",
         Emitter::Directional { .. } => "directional",
     }
 }

@@ -42,6 +42,7 @@ fn scene() -> Scene {
             principal_point_offset: [0.0; 2],
             near_clip: 0.01,
             far_clip: 1e4,
+            lens: None,
         },
         shapes: vec![Shape {
             name: "triangle".into(),

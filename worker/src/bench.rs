@@ -212,6 +212,7 @@ mod tests {
                 principal_point_offset: [0.0; 2],
                 near_clip: 0.01,
                 far_clip: 1e4,
+                lens: None,
             },
             shapes: Vec::new(),
             bsdfs: Vec::new(),

@@ -25,6 +25,11 @@ impl Scene {
                 let m = to_world.matrix3;
                 Some(around(to_world.translation, m.x_axis * m.x_axis + m.y_axis * m.y_axis))
             }
+            Geometry::Cylinder { to_world, .. } => {
+                let m = to_world.matrix3;
+                let squares = m.x_axis * m.x_axis + m.y_axis * m.y_axis;
+                Some(join(around(to_world.translation, squares), around(to_world.translation + m.z_axis, squares)))
+            }
         };
         self.shapes.iter().filter_map(|shape| of_shape(&shape.geometry)).reduce(join)
     }
@@ -46,6 +51,16 @@ impl Scene {
                 PI * scale * self.largest_value(*irradiance) / (distance * distance)
             }
             Emitter::Directional { irradiance, .. } => irradiance.max_element(),
+            Emitter::Envmap { image, scale, .. } => self.images[image.0 as usize].largest_value() * scale,
+            Emitter::Spot { intensity, texture, .. } => {
+                let factor = texture.map_or(1.0, |id| self.largest_value(id));
+                intensity.max_element() * factor / (distance * distance)
+            }
+            Emitter::Projector { irradiance, scale, half_extent: [x, y], .. } => {
+                // In the corners of the image the intensity is π / cos³θ times its value.
+                let square = 1.0 + x * x + y * y;
+                PI * self.largest_value(*irradiance) * scale * square * square.sqrt() / (distance * distance)
+            }
         });
         let of_shapes = self.shapes.iter().filter_map(|shape| shape.radiance).map(|id| self.largest_value(id));
         of_emitters.chain(of_shapes).fold(0.0, |a, b| if b > a { b } else { a })

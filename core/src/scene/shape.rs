@@ -41,6 +41,13 @@ pub enum Geometry {
         /// The normal is −z.
         flip_normals: bool,
     },
+    /// The side of the unit cylinder (x² + y² = 1, 0 ≤ z ≤ 1) under an affine map, normals outwards. u runs around, v is z.
+    Cylinder {
+        /// Object to scene coordinates.
+        to_world: Affine3,
+        /// Normals point inwards.
+        flip_normals: bool,
+    },
 }
 
 /// Triangles with shared vertices. `normals` and `uvs`, where present, have one entry a vertex.

@@ -64,7 +64,9 @@ impl Scene {
             }
             match &shape.geometry {
                 Geometry::Mesh(id) => index(&what, "mesh", id.0, self.meshes.len())?,
-                Geometry::Sphere { to_world, .. } | Geometry::Disk { to_world, .. } => invertible(&what, to_world)?,
+                Geometry::Sphere { to_world, .. }
+                | Geometry::Disk { to_world, .. }
+                | Geometry::Cylinder { to_world, .. } => invertible(&what, to_world)?,
             }
         }
         check(self.origin.iter().all(|x| x.is_finite()), || value("scene", "its origin is not finite"))

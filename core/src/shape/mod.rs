@@ -1,9 +1,11 @@
 //! Analytic shapes: intersection, surface points and sampling. (Triangles are the hierarchy's own: [`crate::bvh`].)
 
+mod cylinder;
 mod disk;
 mod hierarchy;
 mod sphere;
 
+pub use cylinder::Cylinder;
 pub use disk::Disk;
 pub use hierarchy::AnalyticBvh;
 pub use sphere::Sphere;
@@ -18,6 +20,8 @@ pub enum Analytic {
     Sphere(Sphere),
     /// A disk or ellipse.
     Disk(Disk),
+    /// A cylinder without caps.
+    Cylinder(Cylinder),
 }
 
 /// A point on an analytic shape.
@@ -40,6 +44,9 @@ impl Analytic {
             Geometry::Mesh(_) => None,
             Geometry::Sphere { to_world, flip_normals } => Some(Self::Sphere(Sphere::new(to_world, *flip_normals))),
             Geometry::Disk { to_world, flip_normals } => Some(Self::Disk(Disk::new(to_world, *flip_normals))),
+            Geometry::Cylinder { to_world, flip_normals } => {
+                Some(Self::Cylinder(Cylinder::new(to_world, *flip_normals)))
+            }
         }
     }
 
@@ -48,6 +55,7 @@ impl Analytic {
         match self {
             Self::Sphere(sphere) => sphere.bounds(),
             Self::Disk(disk) => disk.bounds(),
+            Self::Cylinder(cylinder) => cylinder.bounds(),
         }
     }
 
@@ -57,6 +65,7 @@ impl Analytic {
         match self {
             Self::Sphere(sphere) => sphere.intersect(origin, direction, t_max),
             Self::Disk(disk) => disk.intersect(origin, direction, t_max),
+            Self::Cylinder(cylinder) => cylinder.intersect(origin, direction, t_max),
         }
     }
 
@@ -66,6 +75,24 @@ impl Analytic {
         match self {
             Self::Sphere(sphere) => sphere.point(position),
             Self::Disk(disk) => disk.point(position),
+            Self::Cylinder(cylinder) => cylinder.point(position),
+        }
+    }
+
+    /// ∂p/∂u and ∂p/∂v at a point of the shape, as Mitsuba has them.
+    pub fn tangents(&self, position: Vec3) -> (Vec3, Vec3) {
+        match self {
+            Self::Sphere(sphere) => sphere.tangents(position),
+            Self::Disk(disk) => disk.tangents(position),
+            Self::Cylinder(cylinder) => cylinder.tangents(position),
+        }
+    }
+
+    /// The normal, where it is the same everywhere.
+    pub fn one_normal(&self) -> Option<Vec3> {
+        match self {
+            Self::Sphere(_) | Self::Cylinder(_) => None,
+            Self::Disk(disk) => Some(disk.normal()),
         }
     }
 
@@ -90,6 +117,7 @@ impl Analytic {
         match self {
             Self::Sphere(sphere) => sphere.area(),
             Self::Disk(disk) => disk.area(),
+            Self::Cylinder(cylinder) => cylinder.area(),
         }
     }
 
@@ -99,6 +127,7 @@ impl Analytic {
         match self {
             Self::Sphere(sphere) => sphere.sample(from, u),
             Self::Disk(disk) => disk.sample(from, u),
+            Self::Cylinder(cylinder) => cylinder.sample(from, u),
         }
     }
 
@@ -108,6 +137,7 @@ impl Analytic {
         match self {
             Self::Sphere(sphere) => sphere.pdf(from, point, normal),
             Self::Disk(disk) => area_to_solid_angle(1.0 / disk.area(), from, point, normal),
+            Self::Cylinder(cylinder) => cylinder.pdf(from, point, normal),
         }
     }
 }
@@ -125,14 +155,20 @@ pub fn area_to_solid_angle(pdf_area: f32, from: Vec3, point: Vec3, normal: Vec3)
 mod tests {
     use super::*;
     use crate::warp::uniform_sphere;
-    use glam::{Affine3, Quat};
+    use glam::{Affine3, Quat, Vec2Swizzles};
 
     fn shapes() -> Vec<Analytic> {
         let to_world = Affine3 {
             matrix3: glam::Mat3::from_quat(Quat::from_xyzw(0.1, 0.3, -0.2, 0.9).normalize()) * 0.75,
             translation: Vec3::new(0.3, -1.0, 4.0),
         };
-        vec![Analytic::Sphere(Sphere::new(&to_world, false)), Analytic::Disk(Disk::new(&to_world, false))]
+        let elliptic =
+            Affine3 { matrix3: to_world.matrix3 * glam::Mat3::from_diagonal(Vec3::new(1.0, 0.6, 1.3)), ..to_world };
+        vec![
+            Analytic::Sphere(Sphere::new(&to_world, false)),
+            Analytic::Disk(Disk::new(&elliptic, false)),
+            Analytic::Cylinder(Cylinder::new(&elliptic, false)),
+        ]
     }
 
     /// Light sampling's density integrates to one over the directions that meet the shape, and equals `pdf` there: checked by
@@ -149,8 +185,13 @@ mod tests {
                 for u in grid() {
                     let Some((point, pdf)) = shape.sample(from, u) else { continue };
                     let again = shape.pdf(from, point.position, point.normal);
+                    // What of a cylinder lies behind its own side fills the same directions once more.
+                    let towards = (point.position - from).normalize();
+                    let first = shape.intersect(from, towards, f32::INFINITY);
+                    if first.is_some_and(|t| t < 0.999 * (point.position - from).length()) {
+                        continue;
+                    }
                     assert!((pdf - again).abs() <= 2e-3 * pdf, "{shape:?} from {from}: {pdf} and {again}");
-                    // Points on the far side of a sphere seen from outside would count twice.
                     sum += 1.0 / f64::from(pdf);
                 }
                 let estimate = sum / f64::from(n * n);
@@ -163,8 +204,9 @@ mod tests {
     fn hits_lie_on_the_shape_within_the_error() {
         for shape in shapes() {
             let from = Vec3::new(2.0, 0.5, 2.0);
+            let mut checked = 0;
             for i in 0..1000u32 {
-                let u = Vec2::new((i % 31) as f32 / 31.0, (i % 37) as f32 / 37.0);
+                let u = Vec2::new((i % 31) as f32 + 0.5, (i % 37) as f32 + 0.5) / Vec2::new(31.0, 37.0);
                 let (target, _) = shape.sample(from, u).unwrap();
                 let direction = (target.position - from).normalize();
                 let t = shape.intersect(from, direction, f32::INFINITY).or_else(|| {
@@ -172,9 +214,34 @@ mod tests {
                     let inside = target.position * 0.999 + Vec3::new(0.3, -1.0, 4.0) * 0.001;
                     shape.intersect(from, (inside - from).normalize(), f32::INFINITY)
                 });
+                if t.unwrap() < (1.0 - 1e-5) * (target.position - from).length() {
+                    continue; // the near side of a cylinder
+                }
                 let point = shape.point(from + direction * t.unwrap());
                 let towards = (point.position - target.position).dot(point.normal).abs();
                 assert!(towards < 1e-5, "{shape:?}: off by {towards}");
+                checked += 1;
+            }
+            assert!(checked > 300, "{shape:?}: {checked} hits tell little");
+        }
+    }
+
+    /// From the outside of a cylinder no ray comes back to it, however small or large it is, once it starts beyond the error.
+    #[test]
+    fn rays_that_leave_do_not_come_back() {
+        for scale in [1e-3, 1.0, 1e3] {
+            let rotation = glam::Mat3::from_quat(Quat::from_xyzw(0.1, 0.3, -0.2, 0.9).normalize());
+            let matrix3 = rotation * glam::Mat3::from_diagonal(Vec3::new(1.0, 0.3, 2.0) * scale);
+            let cylinder = Cylinder::new(&Affine3 { matrix3, translation: Vec3::new(3.0, -10.0, 40.0) }, false);
+            for i in 0..2000u32 {
+                let u = Vec2::new((i % 43) as f32 / 43.0, (i % 47) as f32 / 47.0);
+                let Some((point, _)) = cylinder.sample(Vec3::new(3.0, -10.0, 40.0) + Vec3::splat(5e3), u) else {
+                    continue;
+                };
+                let out = crate::frame::Frame::around(point.normal).to_world(crate::warp::cosine_hemisphere(u.yx()));
+                let offset = point.normal * (point.normal.abs().dot(point.error));
+                let hit = cylinder.intersect(point.position + offset, out, f32::INFINITY);
+                assert!(hit.is_none(), "scale {scale}: {point:?} is met again at {hit:?}");
             }
         }
     }

@@ -14,6 +14,9 @@ impl From<&Settings> for wire::Settings {
             Filter::Box => wire::filter::Kind::Box(wire::BoxFilter {}),
             Filter::Tent { radius } => wire::filter::Kind::Tent(wire::TentFilter { radius }),
             Filter::Gaussian { stddev } => wire::filter::Kind::Gaussian(wire::GaussianFilter { stddev }),
+            Filter::Mitchell { b, c } => wire::filter::Kind::Mitchell(wire::MitchellFilter { b, c }),
+            Filter::CatmullRom => wire::filter::Kind::CatmullRom(wire::CatmullRomFilter {}),
+            Filter::Lanczos { lobes } => wire::filter::Kind::Lanczos(wire::LanczosFilter { lobes }),
         };
         let kind = match kind {
             IntegratorKind::Path => wire::IntegratorKind::Path,
@@ -61,6 +64,9 @@ impl TryFrom<wire::Settings> for Settings {
                     wire::filter::Kind::Box(_) => Filter::Box,
                     wire::filter::Kind::Tent(tent) => Filter::Tent { radius: tent.radius },
                     wire::filter::Kind::Gaussian(gaussian) => Filter::Gaussian { stddev: gaussian.stddev },
+                    wire::filter::Kind::Mitchell(wire::MitchellFilter { b, c }) => Filter::Mitchell { b, c },
+                    wire::filter::Kind::CatmullRom(_) => Filter::CatmullRom,
+                    wire::filter::Kind::Lanczos(lanczos) => Filter::Lanczos { lobes: lanczos.lobes },
                 },
             },
             spp: message.spp,

@@ -36,7 +36,9 @@ fn unit() -> wire::Unit {
 
 #[test]
 fn settings_come_back_as_they_went() {
-    for filter in [Filter::Box, Filter::Tent { radius: 1.5 }, Filter::Gaussian { stddev: 0.5 }] {
+    let bells = [Filter::Box, Filter::Tent { radius: 1.5 }, Filter::Gaussian { stddev: 0.5 }];
+    let with_lobes = [Filter::Mitchell { b: 0.2, c: 0.4 }, Filter::CatmullRom, Filter::Lanczos { lobes: 3.0 }];
+    for filter in bells.into_iter().chain(with_lobes) {
         for max_depth in [None, Some(1), Some(u32::MAX)] {
             let mut there = settings();
             there.film.filter = filter;
