@@ -1,7 +1,7 @@
 //! All surfaces of a scene, laid out for tracing: what a ray hits, and the surface point there.
 
 use crate::bvh::simd::Lanes;
-use crate::bvh::{Ray, TriangleBvh, TriangleHit};
+use crate::bvh::{Ray, Stats, TriangleBvh, TriangleHit};
 use crate::frame::Frame;
 use crate::scene::{Geometry as Shape, Scene};
 use crate::shape::{Analytic, AnalyticBvh};
@@ -95,6 +95,11 @@ impl Geometry {
             bvh,
             analytic_bvh,
         }
+    }
+
+    /// The hierarchy over the triangles, in numbers.
+    pub fn triangle_stats(&self) -> Stats {
+        self.bvh.stats()
     }
 
     /// The nearest hit; of equally near ones the first primitive.
