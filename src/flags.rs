@@ -99,7 +99,7 @@ A cluster in three commands:
 struct PictureFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
-    /// Sets a value that the scene names $NAME, above its <default>
+    /// Sets a value that the scene names $NAME, above its own default
     #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
     defines: Vec<(String, String)>,
     /// Samples a pixel [default: the scene's]
@@ -244,7 +244,7 @@ struct CancelFlags {
 struct InfoFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
-    /// Sets a value that the scene names $NAME, above its <default>
+    /// Sets a value that the scene names $NAME, above its own default
     #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
     defines: Vec<(String, String)>,
     /// One JSON object
