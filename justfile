@@ -20,6 +20,15 @@ fmt:
 deny:
     cargo deny check
 
+# The comparison of strategies: docs/strategies.csv and docs/strategies.svg. Minutes.
+strategies:
+    cargo run --release -p tilecast-bench --bin strategies -- scenes/cornell-box/scene.xml
+
+# Is the image right? Compares with Mitsuba 3; bench/README.md says how to install it.
+accuracy scene="scenes/cornell-box/scene.xml":
+    cargo build --release
+    venv/bin/python bench/mitsuba_agreement.py {{scene}} --renders 64 --spp 128 --tilecast target/release/tilecast
+
 # The README's picture.
 picture:
     cargo run --release -- render scenes/cornell-box/scene.xml --spp 256 --size 384x384 --preview -o scenes/cornell-box/cornell-box.exr

@@ -7,9 +7,12 @@ use tilecast_core::film::{Estimate, Film};
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::Settings;
 
+/// What a channel takes of a pixel.
+type Value = fn(&Estimate) -> f32;
+
 /// What there is of a pixel, by channel. All are f32, the count too: readers such as pbrt's take files of one type. It is
 /// exact up to 2^24; `tilecast:samples` is exact beyond.
-const CHANNELS: [(&str, fn(&Estimate) -> f32); 7] = [
+const CHANNELS: [(&str, Value); 7] = [
     ("R", |e| e.mean[0]),
     ("G", |e| e.mean[1]),
     ("B", |e| e.mean[2]),

@@ -80,26 +80,26 @@ enum Command {
 
 const RENDER_EXAMPLES: &str = "\
 Examples:
-  tilecast render scene.xml                                  writes scene.exr
-  tilecast render scene.xml --spp 4096 -o reference.exr      a quieter one
-  tilecast render scene.xml -D albedo=0.8 --preview          sets a <default>, also writes scene.png
-  tilecast render scene.xml --strategy cosine --spp 16       where directions come from
-  tilecast render model.obj --size 640x480                   a bare model: camera framed on it, light from the sky
-  tilecast render scene.xml --crop 100,100,164,164           a part; its pixels are those of the whole, to the bit
-  tilecast render scene.xml --workers 4                      four worker processes; the same bits";
+  tilecast render scene.xml                              writes scene.exr
+  tilecast render scene.xml --spp 4096 -o reference.exr  a quieter one
+  tilecast render scene.xml -D albedo=0.8 --preview      sets a <default>; also writes scene.png
+  tilecast render scene.xml --strategy cosine --spp 16   where directions come from
+  tilecast render model.obj --size 640x480               a bare model, under an even sky
+  tilecast render scene.xml --crop 100,100,164,164       a part: the same bits as in the whole
+  tilecast render scene.xml --workers 4                  four worker processes: the same bits";
 
 const CLUSTER_EXAMPLES: &str = "\
 A cluster in three commands:
-  tilecast coordinator --listen 0.0.0.0:7878                 on one machine
-  tilecast worker --connect 10.0.0.1:7878                    on each machine that traces
-  tilecast submit scene.xml --connect 10.0.0.1:7878          wherever the scene is";
+  tilecast coordinator --listen 0.0.0.0:7878             on one machine
+  tilecast worker --connect 10.0.0.1:7878                on each machine that traces
+  tilecast submit scene.xml --connect 10.0.0.1:7878      wherever the scene is";
 
 /// The scene, and how it is rendered.
 #[derive(Args)]
 struct PictureFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
-    /// Sets a value that the scene names $NAME, above its <default>
+    /// Sets a value that the scene names $NAME, above its own default
     #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
     defines: Vec<(String, String)>,
     /// Samples a pixel [default: the scene's]
@@ -244,7 +244,7 @@ struct CancelFlags {
 struct InfoFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
-    /// Sets a value that the scene names $NAME, above its <default>
+    /// Sets a value that the scene names $NAME, above its own default
     #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
     defines: Vec<(String, String)>,
     /// One JSON object

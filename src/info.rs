@@ -6,8 +6,12 @@ use anyhow::Context;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Instant;
+use tilecast_core::bvh::Stats;
+use tilecast_core::bvh::simd::Isa;
 use tilecast_core::scene::{Bsdf, Emitter, Geometry, Mesh, Scene, Texels, Texture};
 use tilecast_core::settings::Settings;
+use tilecast_core::world::World;
 
 /// What to look at.
 pub struct Info {
@@ -32,8 +36,22 @@ struct Facts {
     images: Vec<ImageFacts>,
     /// Of meshes and images as loaded.
     memory_bytes: usize,
+    /// Over the triangles.
+    hierarchy: HierarchyFacts,
+    /// What this machine would trace with.
+    isa: &'static str,
     settings: Settings,
     notes: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct HierarchyFacts {
+    nodes: usize,
+    blocks: usize,
+    bytes: usize,
+    /// Cost of an average ray by the surface area heuristic, in visits of a node.
+    sah_cost: f32,
+    build_seconds: f64,
 }
 
 #[derive(Serialize)]
@@ -49,8 +67,8 @@ struct ImageFacts {
 /// What is wrong with the scene's files.
 pub async fn run(Info { scene, defines, json }: Info) -> anyhow::Result<()> {
     let picture = Picture { scene, defines, overrides: Overrides::default() };
-    let ready = tokio::task::spawn_blocking(move || picture.load()).await.context("loading panicked")??;
-    let facts = facts(ready);
+    let facts = tokio::task::spawn_blocking(move || anyhow::Ok(facts(picture.load()?))).await;
+    let facts = facts.context("loading panicked")??;
     if json {
         print(&facts);
     } else {
@@ -67,6 +85,9 @@ fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
         .map(|image| ImageFacts { width: image.width, height: image.height, bytes: texel_bytes(&image.texels) })
         .collect();
     let mesh_bytes = scene.meshes.iter().map(|mesh| mesh_bytes(mesh)).sum::<usize>();
+    let begun = Instant::now();
+    let Stats { nodes, blocks, bytes, sah_cost } = World::compile(&scene).geometry.triangle_stats();
+    let build_seconds = begun.elapsed().as_secs_f64();
     let area_lights = scene.shapes.iter().filter(|shape| shape.radiance.is_some()).map(|_| "area");
     Facts {
         scene: blobs.digest.to_string(),
@@ -82,6 +103,8 @@ fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
         lights: count(scene.emitters.iter().map(emitter_name).chain(area_lights)),
         memory_bytes: mesh_bytes + images.iter().map(|image| image.bytes).sum::<usize>(),
         images,
+        hierarchy: HierarchyFacts { nodes, blocks, bytes, sah_cost, build_seconds },
+        isa: Isa::detect().name(),
         settings,
         notes,
     }
@@ -152,6 +175,7 @@ fn text(facts: &Facts) -> String {
     };
     let Settings { film, spp, seed, integrator, strategy, sampler, .. } = &facts.settings;
     let depth = integrator.max_depth.map_or_else(|| "no limit".to_owned(), |depth| depth.to_string());
+    let HierarchyFacts { nodes, blocks, bytes, sah_cost, build_seconds } = &facts.hierarchy;
     let crop = film.crop;
     let mut lines = vec![
         format!("scene      {}", facts.scene),
@@ -160,6 +184,15 @@ fn text(facts: &Facts) -> String {
         format!("textures   {}", list(&facts.textures)),
         format!("lights     {}", list(&facts.lights)),
         format!("memory     {:.1} MB of meshes and images", facts.memory_bytes as f64 / 1e6),
+        format!(
+            "hierarchy  {} nodes, {} blocks of triangles, {:.1} MB, average ray costs {:.1} visits, built in {:.2} s",
+            nodes,
+            blocks,
+            *bytes as f64 / 1e6,
+            sah_cost,
+            build_seconds
+        ),
+        format!("traced by  {}", facts.isa),
         format!("film       {}x{}, crop {},{},{},{}", film.width, film.height, crop.x0, crop.y0, crop.x1, crop.y1),
         format!("filter     {:?}", film.filter),
         format!("samples    {spp} a pixel, {sampler:?}, seed {seed}"),

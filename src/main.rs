@@ -19,6 +19,7 @@ mod worker;
 
 use clap::Parser;
 use flags::{Cli, Task, Usage};
+use std::io::IsTerminal;
 use std::process::ExitCode;
 use tilecast_core::load::LoadError;
 
@@ -66,7 +67,8 @@ async fn perform(task: Task) -> anyhow::Result<()> {
 fn start_log(level: &str) {
     let filter = tracing_subscriber::EnvFilter::try_from_env("TILECAST_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false).init();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
+    log.with_ansi(std::io::stderr().is_terminal()).init();
 }
 
 /// An error as people read it: one paragraph; with the line at fault where it lies in a scene file.

@@ -8,6 +8,9 @@
 mod bad_input;
 /// What the program says and how it ends: JSON, exit codes, signals, jobs and workers from outside.
 mod cli;
+/// Coordinator and workers in one process and virtual time: whatever joins, leaves, dies or restarts.
+#[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
+mod cluster;
 /// One image, whatever computed it: threads, processes, tiles, instruction sets, losses.
 mod digest;
 /// What is in the written files.

@@ -3,7 +3,8 @@
 mod tangents;
 
 use crate::bvh::simd::Lanes;
-use crate::bvh::{Aabb, Ray, TriangleBvh, TriangleHit};
+
+use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit};
 use crate::frame::Frame;
 use crate::scene::{Geometry as Shape, Scene};
 use crate::shape::{Analytic, AnalyticBvh};
@@ -97,6 +98,11 @@ impl Geometry {
             bvh,
             analytic_bvh,
         }
+    }
+
+    /// The hierarchy over the triangles, in numbers.
+    pub fn triangle_stats(&self) -> Stats {
+        self.bvh.stats()
     }
 
     /// The nearest hit; of equally near ones the first primitive.
