@@ -139,6 +139,17 @@ fn bsdf_name(bsdf: &Bsdf) -> &'static str {
         Bsdf::Phong { .. } => "phong",
         Bsdf::TwoSided { .. } => "twosided",
         Bsdf::Mask { .. } => "mask",
+        Bsdf::RoughConductor { .. } => "rough conductor",
+        Bsdf::RoughDielectric { .. } => "rough dielectric",
+        Bsdf::ThinDielectric { .. } => "thin dielectric",
+        Bsdf::Plastic { .. } => "plastic",
+        Bsdf::RoughPlastic { .. } => "rough plastic",
+        Bsdf::Principled { .. } => "principled",
+        Bsdf::PrincipledThin { .. } => "principled thin",
+        Bsdf::Null => "null",
+        Bsdf::BlendBsdf { .. } => "blend",
+        Bsdf::BumpMap { .. } => "bump map",
+        Bsdf::NormalMap { .. } => "normal map",
     }
 }
 

@@ -3,7 +3,6 @@
 mod tangents;
 
 use crate::bvh::simd::Lanes;
-
 use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit};
 use crate::frame::Frame;
 use crate::scene::{Geometry as Shape, Scene};

@@ -41,15 +41,7 @@ impl Scene {
         let distance = if radius > 0.0 { POINT_DISTANCE * radius } else { 1.0 };
         let of_emitters = self.emitters.iter().map(|emitter| match emitter {
             Emitter::Constant { radiance } => radiance.max_element(),
-            Emitter::Envmap { image, scale, .. } => self.images[image.0 as usize].largest_value() * scale,
             Emitter::Point { intensity, .. } => intensity.max_element() / (distance * distance),
-            Emitter::Spot { intensity, texture, .. } => {
-                let factor = texture.map_or(1.0, |id| self.largest_value(id));
-                factor * intensity.max_element() / (distance * distance)
-            }
-            Emitter::Projector { irradiance, scale, .. } => {
-                PI * scale * self.largest_value(*irradiance) / (distance * distance)
-            }
             Emitter::Directional { irradiance, .. } => irradiance.max_element(),
             Emitter::Envmap { image, scale, .. } => self.images[image.0 as usize].largest_value() * scale,
             Emitter::Spot { intensity, texture, .. } => {

@@ -96,22 +96,6 @@ impl Analytic {
         }
     }
 
-    /// ∂p/∂u and ∂p/∂v at a point of the shape, as Mitsuba has them.
-    pub fn tangents(&self, position: Vec3) -> (Vec3, Vec3) {
-        match self {
-            Self::Sphere(sphere) => sphere.tangents(position),
-            Self::Disk(disk) => disk.tangents(position),
-        }
-    }
-
-    /// The normal, where it is the same everywhere.
-    pub fn one_normal(&self) -> Option<Vec3> {
-        match self {
-            Self::Sphere(_) => None,
-            Self::Disk(disk) => Some(disk.normal()),
-        }
-    }
-
     /// Surface area.
     pub fn area(&self) -> f32 {
         match self {
