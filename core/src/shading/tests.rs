@@ -104,7 +104,7 @@ fn world(scene: &Scene) -> (World, Surface) {
             let local = Vec3::new(0.3, 0.2, 0.87f32.sqrt());
             world.geometry.analytic_surface(0, to_world.transform_point3(local))
         }
-        ShapeGeometry::Disk { to_world, .. } => {
+        ShapeGeometry::Disk { to_world, .. } | ShapeGeometry::Cylinder { to_world, .. } => {
             world.geometry.analytic_surface(0, to_world.transform_point3(Vec3::new(0.3, 0.2, 0.0)))
         }
     };
