@@ -163,7 +163,7 @@ fn shuffle(index: u32, seed: u32) -> u32 {
 }
 
 /// The second Sobol' coordinate of an index, with reversed bits. The generator matrix is Pascal's triangle mod 2, the
-/// fivefold Kronecker power of [[1,1],[0,1]], so five masked shifts apply it: bit i of the result is the parity of C(k, i)
+/// fivefold Kronecker power of `[[1,1],[0,1]]`, so five masked shifts apply it: bit i of the result is the parity of C(k, i)
 /// over the set bits k of the index.
 #[inline]
 fn pascal(index: u32) -> u32 {

@@ -1,6 +1,6 @@
 //! Mitsuba 3 scene files, read as Mitsuba 3.9 reads them.
 //!
-//! [`xml`] turns the file into a tree ([`document`]); the tree's objects are checked against the table of [`plugins`]; one
+//! [`xml`] turns the file into a tree ([`document`]); the tree's objects are checked against the table of [`mod@plugins`]; one
 //! file a family makes of them what the scene needs. Only what the scene uses is made, and only its files are read.
 
 mod bsdfs;
