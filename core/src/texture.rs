@@ -28,9 +28,10 @@ impl Textures {
         match &self.textures[id.0 as usize] {
             Texture::Constant(rgb) => *rgb,
             Texture::Checkerboard { color0, color1, to_uv } => {
-                let uv = to_uv.transform_point2(uv);
+                // Only the squares are transformed, not the textures in them.
+                let square = to_uv.transform_point2(uv);
                 let high = |x: f32| x - x.floor() > 0.5;
-                self.at(if high(uv.x) == high(uv.y) { *color0 } else { *color1 }, uv)
+                self.at(if high(square.x) == high(square.y) { *color0 } else { *color1 }, uv)
             }
             Texture::Bitmap { image, to_uv, filter, wrap, scale } => {
                 self.bitmap(&self.images[image.0 as usize], to_uv, *filter, *wrap, uv) * *scale
