@@ -54,7 +54,13 @@ pub(crate) fn decode(path: &Path, bytes: &[u8], usage: Use) -> Result<Image, Str
 
 const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
+/// Marks of HDR files: that of Radiance, and that of Ward's small library, which Mitsuba and others write.
+const HDR_MARKS: [&[u8]; 2] = [b"#?RADIANCE", b"#?RGBE"];
+
 fn decode_others(path: &Path, bytes: &[u8], raw: bool) -> Result<Image, String> {
+    // The decoder knows the first mark only; behind it the files are the same.
+    let marked = bytes.strip_prefix(HDR_MARKS[1]).map(|rest| [HDR_MARKS[0], rest].concat());
+    let bytes = marked.as_deref().unwrap_or(bytes);
     let by_name = path.extension().and_then(ImageFormat::from_extension);
     let format = match image::guess_format(bytes) {
         Ok(format) => format,
