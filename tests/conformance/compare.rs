@@ -6,6 +6,7 @@
 use crate::reference::Reference;
 use glam::DVec3;
 use std::fmt;
+use tilecast_core::settings::Filter;
 
 /// |z| of a pixel's channel that counts as agreement: of a perfect match 0.1 % to 0.3 % lie beyond.
 const PIXEL_Z: f64 = 3.3;
@@ -22,6 +23,9 @@ const MEAN_DIFFERENCE: f64 = 0.003;
 /// Where nothing is random, images still differ by rounding: Mitsuba adds 256 samples in f32, and computes exponentials
 /// and trigonometric functions to a few units in the last place. An error of this share of the value is not counted.
 const ROUNDING: f64 = 3e-5;
+/// Mitsuba takes a Gaussian filter from a fitted polynomial that is wrong by up to this, and not zero in the tail: next to
+/// something bright such a share of it is not counted.
+const GAUSSIAN_FIT: f64 = 4.2e-4;
 /// Wide filters spread a sample over several pixels, whose errors then are correlated and do not average out within a
 /// block. By the ratio of the filter's integral, squared, to that of its square this is at most π (a Gaussian of ½ pixel).
 const SHARED_SAMPLES: f64 = std::f64::consts::PI;
@@ -54,20 +58,36 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares images of the same size. `own_samples`: whether a sample of the reference counts for one pixel only.
-    pub fn new(renders: &Renders, reference: &Reference, own_samples: bool) -> Self {
+    /// Compares images of the same size, made with this filter.
+    pub fn new(renders: &Renders, reference: &Reference, filter: Filter) -> Self {
         let Renders { width, height, .. } = *renders;
         let indices = |x0: usize, y0: usize, w: usize, h: usize| -> Vec<usize> {
             (y0..(y0 + h).min(height)).flat_map(|y| (x0..(x0 + w).min(width)).map(move |x| y * width + x)).collect()
         };
-        let shared = if own_samples { 1.0 } else { SHARED_SAMPLES };
+        let shared = if filter == Filter::Box { 1.0 } else { SHARED_SAMPLES };
+        let reach = filter.radius().ceil() as usize;
+        let floor = |i: usize| {
+            let (x, y) = ((i % width).saturating_sub(reach), (i / width).saturating_sub(reach));
+            let near = || indices(x, y, 2 * reach + 1, 2 * reach + 1).into_iter();
+            match filter {
+                Filter::Gaussian { .. } => {
+                    GAUSSIAN_FIT * near().map(|i| reference.mean[i]).fold(DVec3::ZERO, DVec3::max)
+                }
+                _ => DVec3::ZERO,
+            }
+        };
         let both = |pixels: &[usize], shared: f64| {
             (of_renders(&renders.images, pixels), of_reference(reference, pixels, shared))
         };
-        let z: Vec<DVec3> = (0..width * height).map(|i| both(&[i], 1.0)).map(|(a, b)| z_score(a, b)).collect();
+        let z: Vec<DVec3> = (0..width * height)
+            .map(|i| (both(&[i], 1.0), floor(i)))
+            .map(|((a, b), floor)| z_score(a, b, floor))
+            .collect();
         let corners = (0..height).step_by(BLOCK).flat_map(|y| (0..width).step_by(BLOCK).map(move |x| (x, y)));
-        let block_z: Vec<DVec3> =
-            corners.map(|(x, y)| both(&indices(x, y, BLOCK, BLOCK), shared)).map(|(a, b)| z_score(a, b)).collect();
+        let block_z: Vec<DVec3> = corners
+            .map(|(x, y)| both(&indices(x, y, BLOCK, BLOCK), shared))
+            .map(|(a, b)| z_score(a, b, DVec3::ZERO))
+            .collect();
         let worst = (0..z.len()).max_by(|&a, &b| z[a].max_element().total_cmp(&z[b].max_element())).unwrap_or(0);
         let (ours, theirs) = both(&indices(0, 0, width, height), shared);
         Self {
@@ -111,9 +131,9 @@ fn of_reference(reference: &Reference, pixels: &[usize], shared: f64) -> Estimat
     }
 }
 
-/// |z| of each channel; 0 where both sides are equal.
-fn z_score(a: Estimate, b: Estimate) -> DVec3 {
-    let floor = ROUNDING * a.mean.abs().max(b.mean.abs());
+/// |z| of each channel, with an error besides the two sides' own; 0 where both sides are equal.
+fn z_score(a: Estimate, b: Estimate, besides: DVec3) -> DVec3 {
+    let floor = ROUNDING * a.mean.abs().max(b.mean.abs()) + besides;
     let error = (a.variance + b.variance + floor * floor).to_array().map(f64::sqrt);
     let difference = (a.mean - b.mean).abs();
     DVec3::from_array(std::array::from_fn(|c| if difference[c] == 0.0 { 0.0 } else { difference[c] / error[c] }))

@@ -7,6 +7,7 @@
 //! `CONFORMANCE=bsdf-rough cargo test --release --test conformance -- --nocapture` takes the scenes whose names contain that.
 
 mod compare;
+mod page;
 mod reference;
 
 use compare::{Comparison, Renders};
@@ -20,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::Film;
 use tilecast_core::load::{LoadOptions, load};
-use tilecast_core::settings::{Filter, Settings};
+use tilecast_core::settings::Settings;
 use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
 
@@ -51,6 +52,27 @@ fn every_scene_gives_the_image_that_mitsuba_makes() {
 #[test]
 fn every_reference_belongs_to_a_scene() {
     assert_eq!(stems("references", "exr"), stems("scenes", "xml"));
+}
+
+#[test]
+fn the_page_says_what_the_loader_supports() {
+    let mut uses = page::Uses::default();
+    for name in stems("scenes", "xml") {
+        let text = std::fs::read_to_string(folder().join(format!("scenes/{name}.xml"))).expect("the scene can be read");
+        uses.add(&name, &text).expect("the scene is XML");
+    }
+    assert_eq!(uses.untested(), [""; 0], "plugins without a conformance scene");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/mitsuba.md");
+    let page = page::page(&uses);
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::create_dir_all(path.parent().expect("a file is in a folder")).expect("the folder can be made");
+        std::fs::write(&path, &page).expect("the page can be written");
+    }
+    let written = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        written == page,
+        "docs/mitsuba.md is out of date: UPDATE_DOCS=1 cargo test --release --test conformance page"
+    );
 }
 
 /// The comparison can fail: an index of refraction that is wrong by 0.03 is seen.
@@ -94,7 +116,7 @@ fn judge(name: &str, defines: &[(String, String)]) -> Result<Comparison, Box<dyn
             format!("{}×{} pixels, not {}×{}", crop.width(), crop.height(), reference.width, reference.height).into()
         );
     }
-    Ok(Comparison::new(&renders, &reference, loaded.settings.film.filter == Filter::Box))
+    Ok(Comparison::new(&renders, &reference, loaded.settings.film.filter))
 }
 
 /// The means of all pixels, row by row.
