@@ -2,7 +2,7 @@
 
     make_references.py              the scenes that have no reference yet
     make_references.py NAME…        these, again
-    make_references.py --all        all of them, again (about 10 minutes on two cores)
+    make_references.py --all        all of them, again (about 6 minutes on two cores)
 
 Every scene is rendered SEEDS times with SPP samples a pixel and independent seeds. Their mean is the reference, and their
 spread gives the variance of that mean, whatever the noise looks like. Both go into one EXR with the names that tilecast
