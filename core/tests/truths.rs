@@ -275,23 +275,24 @@ fn strategies_agree_on_mirrors_under_plastic_and_on_rough_glass() {
     }
 }
 
-/// A small sphere light far away: L (r/d)² cos θ times the albedo. Fails if the light casts a shadow on itself by rounding.
+/// A small sphere light far away: L (r/d)² cos θ times the albedo. The light stands at the origin, where its own points are all
+/// but exact, and rays from afar are not: fails if it casts a shadow on itself by rounding.
 #[test]
 fn a_small_far_light_does_not_shade_itself() {
-    let (radius, below) = (0.01f32, Vec3::new(3.1, 2.3, 0.0));
+    let radius = 0.1f32;
     let affine = |scale: f32, at: Vec3| Affine3::from_translation(at) * Affine3::from_scale(Vec3::splat(scale));
-    let plane = Geometry::Disk { to_world: affine(50.0, Vec3::ZERO), flip_normals: false };
+    let lamp = Geometry::Sphere { to_world: affine(radius, Vec3::ZERO), flip_normals: false };
     for to_lamp in [Vec3::new(0.7, 0.6, 2.0), Vec3::new(-1.3, 0.4, 5.0), Vec3::new(4.7, -3.9, 11.0)] {
-        let lamp = Geometry::Sphere { to_world: affine(radius, below + to_lamp), flip_normals: false };
-        let sensor = camera(below + Vec3::Z * 0.5, Vec3::X, -Vec3::Y, -Vec3::Z);
-        let lit = scene(sensor, 0.5, vec![shape(plane.clone(), false), shape(lamp, true)]);
+        let plane = Geometry::Disk { to_world: affine(50.0, -to_lamp), flip_normals: false };
+        let sensor = camera(Vec3::Z * 0.5 - to_lamp, Vec3::X, -Vec3::Y, -Vec3::Z);
+        let lit = scene(sensor, 0.5, vec![shape(plane, false), shape(lamp.clone(), true)]);
         let mut one = settings(1, 1 << 10, Strategy::Light);
         one.film =
             FilmSettings { width: 1001, height: 1001, crop: Window { x0: 500, y0: 500, x1: 501, y1: 501 }, ..one.film };
         let mean = f64::from(render(&lit, &one).estimate(500, 500).mean[0]);
         let distance = to_lamp.length();
         let truth = 0.5 * f64::from((radius / distance).powi(2) * to_lamp.z / distance);
-        // The pixel is a thousandth of the distance wide; every sample has nearly the same value.
-        assert!((mean / truth - 1.0).abs() < 1e-3, "{to_lamp}: {mean} for {truth}");
+        // Over the light the cosine varies by r/d, which 1024 samples average; the pixel is a thousandth of the way wide.
+        assert!((mean / truth - 1.0).abs() < 3e-3, "{to_lamp}: {mean} for {truth}");
     }
 }
