@@ -81,7 +81,7 @@ def compare(name, a, b):
 def mitsuba_renders(mitsuba, options, count):
     """`count` independent renders, (count, height, width, 3), from the cache as far as it has them."""
     text = pathlib.Path(options.scene).read_bytes()
-    settings = f'{options.spp} {sorted(options.define)} {mitsuba.__version__}'
+    settings = f'{options.spp} {sorted(options.define)} {mitsuba.__version__} {options.size}'
     key = hashlib.sha256(text + settings.encode()).hexdigest()[:12]
     folder = pathlib.Path(options.cache) / f'{pathlib.Path(options.scene).stem}-{key}'
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +90,7 @@ def mitsuba_renders(mitsuba, options, count):
         path = folder / f'{k:03d}.npy'
         if not path.exists():
             if scene is None:
-                scene = oracle.load_scene(mitsuba, options.scene, options.define)
+                scene = oracle.load_scene(mitsuba, options.scene, options.define, options.size)
             np.save(path, oracle.render(mitsuba, scene, options.spp, FIRST_SEED + k).astype(np.float32))
         stack.append(np.load(path))
     return np.stack(stack).astype(np.float64)
@@ -105,6 +105,7 @@ def tilecast_renders(mitsuba, options):
             command = [options.tilecast, 'render', options.scene, '--spp', str(options.spp), '--seed', str(k),
                        '-o', str(out), '--quiet']
             command += [word for define in options.define for word in ('-D', define)]
+            command += ['--size', '{}x{}'.format(*options.size)] if options.size else []
             subprocess.run(command, check=True)
             channels = oracle.read_exr(mitsuba, out)
             out.unlink()
@@ -121,6 +122,11 @@ def report_claims(claimed, renders):
           f'{np.median(claimed[lit] / seen[lit]):.3f} at the median pixel')
 
 
+def size(text):
+    width, height = text.split('x')
+    return int(width), int(height)
+
+
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('scene')
@@ -129,6 +135,7 @@ def arguments():
     parser.add_argument('--tilecast', help='the tilecast binary; without it Mitsuba is only tested against itself')
     parser.add_argument('--cache', default='target/mitsuba-cache', help='where to keep the renders of Mitsuba')
     parser.add_argument('--means', type=float, default=0.002, help='largest difference of the means, relative (0.002)')
+    parser.add_argument('--size', type=size, metavar='WxH', help="the picture's, in place of the scene's own")
     parser.add_argument('-D', dest='define', action='append', default=[], metavar='NAME=VALUE', help='scene parameter')
     options = parser.parse_args()
     if options.renders < 2:

@@ -31,9 +31,16 @@ def set_threads(count):
     drjit.set_thread_count(count)
 
 
-def load_scene(mitsuba, path, defines=()):
-    """A scene file with NAME=VALUE parameters."""
-    return mitsuba.load_file(str(path), **dict(define.split('=', 1) for define in defines))
+def load_scene(mitsuba, path, defines=(), size=None):
+    """A scene file with NAME=VALUE parameters, its film perhaps of another size (width, height)."""
+    scene = mitsuba.load_file(str(path), **dict(define.split('=', 1) for define in defines))
+    if size:
+        parameters = mitsuba.traverse(scene)
+        film = next(key for key in parameters.keys() if key.endswith('film.size'))
+        parameters[film] = list(size)
+        parameters[film.replace('film.size', 'film.crop_size')] = list(size)
+        parameters.update()
+    return scene
 
 
 def version(library):
