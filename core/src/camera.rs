@@ -71,7 +71,7 @@ impl Camera {
     }
 
     /// The ray through a point of the film, in pixels from its top left corner, and of the lens, in [0,1)².
-    #[inline]
+    #[inline(always)]
     pub fn ray(&self, film: Vec2, lens: impl FnOnce() -> Vec2) -> CameraRay {
         let p = film * self.scale + self.offset;
         match self.projection {
@@ -85,7 +85,7 @@ impl Camera {
     }
 
     /// The ray from a point on the plane z = 0 of camera space in a direction of positive z.
-    #[inline]
+    #[inline(always)]
     fn through(&self, from: Vec3, towards: Vec3) -> CameraRay {
         let local = towards.normalize();
         let direction = (self.axes * local).normalize();

@@ -14,6 +14,8 @@ const STEPS: usize = 256;
 /// negative lobes.)
 pub struct FilterTable {
     radius: f32,
+    /// The pixel itself: needs no table.
+    is_box: bool,
     /// Density at the knots from −radius to radius, up to a factor.
     density: Vec<f32>,
     /// Its integral up to each knot, with steps of unit width.
@@ -39,15 +41,18 @@ impl FilterTable {
         let density: Vec<f32> = values.iter().map(|x| x.abs()).collect();
         let integral = integrals(&density);
         let signed = (values != density).then(|| Signed { integral: integrals(&values), values });
-        Self { radius, density, integral, signed }
+        Self { radius, is_box: filter == Filter::Box, density, integral, signed }
     }
 
     /// The position of a sample, in pixels from the left edge of the film, for the pixel `pixel` of a film of `size` pixels
     /// along this axis and a random number `u`; and its weight, which is 1 where the filter is nowhere negative, else 1 in the
     /// mean. What of the filter lies beyond the film is cut off: a border pixel is the mean over the part of its filter that
     /// lies on the film.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, pixel: u32, size: u32, u: f32) -> (f32, f32) {
+        if self.is_box {
+            return (pixel as f32 + u, 1.0);
+        }
         let centre = pixel as f32 + 0.5;
         let (low, high) = (-centre, size as f32 - centre);
         if self.radius <= low.abs().min(high) {
@@ -75,7 +80,7 @@ impl FilterTable {
     }
 
     /// The position where the integral of the density reaches `mass`, and the filter over the density there.
-    #[inline]
+    #[inline(always)]
     fn invert(&self, mass: f32) -> (f32, f32) {
         let i = self.integral.partition_point(|&m| m <= mass).clamp(1, STEPS) - 1;
         let (a, b) = (self.density[i], self.density[i + 1]);

@@ -15,7 +15,7 @@ pub struct Frame {
 
 impl Frame {
     /// Some frame around a unit normal, without branches or cancellation (Duff et al. 2017).
-    #[inline]
+    #[inline(always)]
     pub fn around(n: Vec3) -> Self {
         let sign = 1.0f32.copysign(n.z);
         let a = -1.0 / (sign + n.z);
@@ -29,7 +29,7 @@ impl Frame {
 
     /// The right-handed frame around a unit normal whose s lies along `tangent`, made orthogonal (Gram & Schmidt); some frame
     /// if that has no direction across the normal.
-    #[inline]
+    #[inline(always)]
     pub fn along(n: Vec3, tangent: Vec3) -> Self {
         match (tangent - n * n.dot(tangent)).try_normalize() {
             Some(s) => Self { s, t: n.cross(s), n },
@@ -38,19 +38,19 @@ impl Frame {
     }
 
     /// World to local.
-    #[inline]
+    #[inline(always)]
     pub fn to_local(&self, v: Vec3) -> Vec3 {
         Vec3::new(self.s.dot(v), self.t.dot(v), self.n.dot(v))
     }
 
     /// Local to world.
-    #[inline]
+    #[inline(always)]
     pub fn to_world(&self, v: Vec3) -> Vec3 {
         self.s * v.x + self.t * v.y + self.n * v.z
     }
 
     /// The same tangents, the normal on the other side.
-    #[inline]
+    #[inline(always)]
     pub fn turned_over(&self) -> Self {
         Self { n: -self.n, ..*self }
     }

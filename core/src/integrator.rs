@@ -44,31 +44,36 @@ struct Origin {
 
 impl Estimator {
     /// Radiance along a camera ray.
+    #[inline(always)]
     pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
         let mut origin = Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY };
         let mut eta = 1.0;
-        let mut last_segment = false;
         let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
+        let mut last_segment = max_depth.is_some_and(|max| max <= 1);
         for depth in 0.. {
             let hidden = depth == 0 && self.integrator.hide_emitters;
-            let Some(surface) = next_surface(lanes, world, &mut ray, hidden) else {
-                if !hidden {
-                    radiance += throughput * self.background(world, origin, ray.direction);
+            let surface = match next_surface(lanes, world, &mut ray, hidden, last_segment) {
+                Next::Surface(surface) => surface,
+                Next::Dark => break,
+                Next::Background => {
+                    if !hidden {
+                        radiance += throughput * self.background(world, origin, ray.direction);
+                    }
+                    break;
                 }
-                break;
             };
             let wo = -ray.direction;
             if let Some(light) = surface.light {
                 radiance += throughput * self.emitted(world, &surface, light, origin, wo);
             }
-            if last_segment || max_depth.is_some_and(|max| depth + 1 >= max) {
+            if last_segment {
                 break;
             }
 
             sampler.at_surface(depth);
-            let mut lobe = sampler.one(Slot::Lobe);
+            let mut lobe = if world.materials.has_lobes(surface.shape) { sampler.one(Slot::Lobe) } else { 0.0 };
             let shading = world.materials.at(&world.geometry, &world.textures, &surface, wo, &mut lobe);
             let wo = shading.frame.to_local(wo);
             if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
@@ -82,7 +87,7 @@ impl Estimator {
                 IntegratorKind::Path => false,
                 IntegratorKind::Direct => true,
                 IntegratorKind::Whitted => !next.is_delta(),
-            };
+            } || max_depth.is_some_and(|max| depth + 2 >= max);
             if depth + 1 >= self.integrator.rr_depth && !last_segment {
                 // The radiance scale of refraction (eta²) undoes itself when the path leaves the glass.
                 let survival = (throughput.max_element() * eta * eta).min(CONTINUATION_MAX);
@@ -101,7 +106,7 @@ impl Estimator {
     }
 
     /// Next-event estimation: light from one point of one light, if the way is free.
-    #[inline]
+    #[inline(always)]
     fn direct<L: Lanes>(
         &self,
         lanes: L,
@@ -111,7 +116,7 @@ impl Estimator {
         wo: Vec3,
         sampler: &Sampler,
     ) -> Vec3 {
-        let (choice, u) = (sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
+        let (choice, u) = (|| sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
         let mis = self.strategy == Strategy::Mis;
         let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
             return Vec3::ZERO;
@@ -126,7 +131,7 @@ impl Estimator {
     }
 
     /// Radiance from beyond the scene.
-    #[inline]
+    #[inline(always)]
     fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Vec3 {
         match world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis) {
             Some((radiance, pdf)) => radiance * self.weight_of_hit(origin, pdf),
@@ -135,7 +140,7 @@ impl Estimator {
     }
 
     /// Radiance emitted by the surface that was hit.
-    #[inline]
+    #[inline(always)]
     fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> Vec3 {
         let emitted = world.lights.emitted(&world.textures, surface, light, wo);
         if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
@@ -146,7 +151,7 @@ impl Estimator {
     }
 
     /// The weight of a light that a ray hit: one where next-event estimation could not have found it or is not used.
-    #[inline]
+    #[inline(always)]
     fn weight_of_hit(&self, origin: Origin, light_pdf: f32) -> f32 {
         match self.strategy {
             _ if origin.pdf == f32::INFINITY => 1.0,
@@ -157,7 +162,7 @@ impl Estimator {
     }
 
     /// One direction to go on, by the strategy. Mirrors and glass have theirs whatever the strategy.
-    #[inline]
+    #[inline(always)]
     fn continuation(&self, shading: &Shading, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
         let delta_share = shading.closure.delta_share(wo);
         let (mut wi, mut pdf) = match self.strategy {
@@ -179,21 +184,36 @@ impl Estimator {
     }
 }
 
-/// The surface that a ray meets; if emitters are `hidden`, the first that does not emit.
-#[inline]
-fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool) -> Option<Surface> {
+/// Where a ray leads to.
+enum Next {
+    Surface(Surface),
+    Background,
+    /// To nothing that shines, which is all that the last ray of a path needs to know.
+    Dark,
+}
+
+/// What a ray meets; if emitters are `hidden`, the first surface that does not emit. Of the `last` ray of a path only what
+/// shines matters: most of them pass all lights by, which is found out without tracing them.
+#[inline(always)]
+fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool, last: bool) -> Next {
+    if last && !world.lights.may_meet(lanes, ray) {
+        return Next::Dark;
+    }
     loop {
-        let hit = world.geometry.closest(lanes, ray)?;
+        let Some(hit) = world.geometry.closest(lanes, ray) else { return Next::Background };
+        if last && world.geometry.light_of(&hit).is_none() {
+            return Next::Dark;
+        }
         let surface = world.geometry.surface(ray, hit);
         if !hidden || surface.light.is_none() {
-            return Some(surface);
+            return Next::Surface(surface);
         }
         *ray = surface.ray(ray.direction, ray.t_max - hit.t());
     }
 }
 
 /// Veach's power heuristic with β = 2, for one sample of each technique; `a` may be infinite.
-#[inline]
+#[inline(always)]
 fn power_heuristic(a: f32, b: f32) -> f32 {
     if a == f32::INFINITY {
         return 1.0;

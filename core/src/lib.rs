@@ -26,6 +26,7 @@ pub mod shape;
 pub mod surface;
 pub mod texture;
 pub mod trace;
+pub mod trig;
 pub mod warp;
 pub mod world;
 

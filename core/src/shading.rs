@@ -17,6 +17,8 @@ use simple::{Coats, closure};
 pub struct Materials {
     bsdfs: Vec<Bsdf>,
     of_shape: Vec<BsdfId>,
+    /// Whether something in the BSDF of each shape is chosen at random.
+    has_lobes: Vec<bool>,
     /// Whether each BSDF needs tangents that follow the texture coordinates.
     oriented: Vec<bool>,
     coats: Coats,
@@ -35,7 +37,7 @@ pub struct Shading<'a> {
 
 impl Shading<'_> {
     /// As [`Closure::eval`], bent.
-    #[inline]
+    #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         let Some(tilt) = &self.tilt else { return self.closure.eval(wo, wi) };
         match tilt.factor(wi) {
@@ -48,7 +50,7 @@ impl Shading<'_> {
     }
 
     /// As [`Closure::sample`], bent.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
         let sample = self.closure.sample(wo, lobe, u)?;
         let Some(tilt) = &self.tilt else { return Some(sample) };
@@ -66,15 +68,22 @@ impl Materials {
         Self {
             bsdfs: scene.bsdfs.clone(),
             of_shape: scene.shapes.iter().map(|s| s.bsdf).collect(),
+            has_lobes: scene.shapes.iter().map(|s| has_lobes(scene, s.bsdf)).collect(),
             oriented,
             coats: Coats::new(&scene.bsdfs),
         }
     }
 
+    /// Whether [`Materials::at`] and what it gives need a random number `lobe` on a shape.
+    #[inline(always)]
+    pub fn has_lobes(&self, shape: u32) -> bool {
+        self.has_lobes[shape as usize]
+    }
+
     /// The closure at `surface`, seen from the direction `wo`. A mask answers at random, by `lobe`: with the probability of
     /// its opacity the surface is there, else nothing is. A blend chooses one of its two likewise. The mean over `lobe` is
     /// the mixture, and a path goes on in one way. The rest of `lobe` is handed back as a fresh number.
-    #[inline]
+    #[inline(always)]
     pub fn at(
         &self,
         geometry: &Geometry,
@@ -129,13 +138,23 @@ impl Materials {
 }
 
 /// Decides an event of this probability by `lobe`, and makes a fresh number of what is left of it.
-#[inline]
+#[inline(always)]
 fn happens(lobe: &mut f32, probability: f32) -> bool {
     let probability = probability.clamp(0.0, 1.0);
     let happens = *lobe < probability;
     *lobe = if happens { *lobe / probability } else { (*lobe - probability) / (1.0 - probability) };
     *lobe = lobe.min(1.0 - f32::EPSILON);
     happens
+}
+
+/// Whether a BSDF makes any choice but that of a direction.
+fn has_lobes(scene: &Scene, bsdf: BsdfId) -> bool {
+    match &scene.bsdfs[bsdf.0 as usize] {
+        Bsdf::Diffuse { .. } | Bsdf::Conductor { .. } | Bsdf::RoughConductor { .. } | Bsdf::Null => false,
+        Bsdf::TwoSided { front, back } => has_lobes(scene, *front) || has_lobes(scene, *back),
+        Bsdf::BumpMap { nested, .. } | Bsdf::NormalMap { nested, .. } => has_lobes(scene, *nested),
+        _ => true,
+    }
 }
 
 /// Whether a BSDF needs tangents that follow the texture coordinates, given the same of those before it.

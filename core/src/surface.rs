@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3};
 const UNIT_ROUNDOFF: f32 = f32::EPSILON * 0.5;
 
 /// Bound on the relative error of `n` rounded operations in a row (Higham 2002, §3.1).
-#[inline]
+#[inline(always)]
 pub const fn gamma(n: u32) -> f32 {
     let nu = n as f32 * UNIT_ROUNDOFF;
     nu / (1.0 - nu)
@@ -42,13 +42,13 @@ pub struct Surface {
 impl Surface {
     /// A ray from here into the direction `w`. It starts so far off the surface, on the side that `w` points to, that it
     /// cannot meet the surface again by rounding (Pharr, Jakob & Humphreys 2023, §6.8).
-    #[inline]
+    #[inline(always)]
     pub fn ray(&self, w: Vec3, t_max: f32) -> Ray {
         Ray { origin: self.offset(w), direction: w, t_max }
     }
 
     /// A ray from here to just before another point; t = 1 is there.
-    #[inline]
+    #[inline(always)]
     pub fn ray_to(&self, target: &Surface) -> Ray {
         let towards = target.position - self.position;
         let origin = self.offset(towards);
@@ -57,30 +57,17 @@ impl Surface {
     }
 
     /// A ray from here to a point that is on no surface; t = 1 is there.
-    #[inline]
+    #[inline(always)]
     pub fn ray_to_point(&self, target: Vec3) -> Ray {
         let origin = self.offset(target - self.position);
         Ray { origin, direction: target - origin, t_max: 1.0 }
     }
 
     /// The point moved off the surface to the side of `w`, by at least its error.
-    #[inline]
+    #[inline(always)]
     fn offset(&self, w: Vec3) -> Vec3 {
-        let distance = self.normal.abs().dot(self.error);
-        let side = if w.dot(self.normal) < 0.0 { -self.normal } else { self.normal };
-        let moved = self.position + side * distance;
-        Vec3::new(away(moved.x, side.x), away(moved.y, side.y), away(moved.z, side.z))
-    }
-}
-
-/// The next f32 in the direction of `sign`: the sum that made `x` was rounded, perhaps backwards.
-#[inline]
-fn away(x: f32, sign: f32) -> f32 {
-    if sign > 0.0 {
-        x.next_up()
-    } else if sign < 0.0 {
-        x.next_down()
-    } else {
-        x
+        // The sum below is rounded, perhaps backwards: by one step of f32 along each axis at most.
+        let distance = self.normal.abs().dot(self.error + self.position.abs() * gamma(4));
+        self.position + self.normal * distance.copysign(w.dot(self.normal))
     }
 }

@@ -23,9 +23,17 @@ impl Textures {
     }
 
     /// The value at texture coordinates `uv`, linear sRGB.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, id: TextureId, uv: Vec2) -> Vec3 {
         match &self.textures[id.0 as usize] {
+            Texture::Constant(rgb) => *rgb,
+            varying => self.varying(varying, uv),
+        }
+    }
+
+    #[inline]
+    fn varying(&self, texture: &Texture, uv: Vec2) -> Vec3 {
+        match texture {
             Texture::Constant(rgb) => *rgb,
             Texture::Checkerboard { color0, color1, to_uv } => {
                 // Only the squares are transformed, not the textures in them.
@@ -43,7 +51,10 @@ impl Textures {
         let uv = to_uv.transform_point2(uv);
         let p = Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32);
         match filter {
-            FilterType::Nearest => self.fetch(image, wrap, p.floor()),
+            FilterType::Nearest => {
+                let (x, y) = (wrapped(floor(p.x), image.width, wrap), wrapped(floor(p.y), image.height, wrap));
+                self.texel(image, y as usize * image.width as usize + x as usize)
+            }
             FilterType::Bilinear => {
                 let Cell { upper, lower, at } = self.cell(image, wrap, p);
                 let upper = upper[0] * (1.0 - at.x) + upper[1] * at.x;
@@ -68,30 +79,29 @@ impl Textures {
         to_uv.matrix2.transpose() * (by_texel * size) * *scale
     }
 
-    #[inline]
-    fn fetch(&self, image: &Image, wrap: WrapMode, p: Vec2) -> Vec3 {
-        let (x, y) = (wrapped(p.x, image.width, wrap), wrapped(p.y, image.height, wrap));
-        self.texel(image, y as usize * image.width as usize + x as usize)
-    }
-
     /// The four texels around the position `p`, in texels.
-    #[inline]
+    #[inline(always)]
     fn cell(&self, image: &Image, wrap: WrapMode, p: Vec2) -> Cell {
         let p = p - Vec2::splat(0.5);
-        let corner = p.floor();
-        let row = |y: f32| [0.0, 1.0].map(|x| self.fetch(image, wrap, corner + Vec2::new(x, y)));
-        Cell { upper: row(0.0), lower: row(1.0), at: p - corner }
+        let corner = Vec2::new(floor(p.x), floor(p.y));
+        let columns = [0.0, 1.0].map(|x| wrapped(corner.x + x, image.width, wrap) as usize);
+        let rows = [0.0, 1.0].map(|y| wrapped(corner.y + y, image.height, wrap) as usize * image.width as usize);
+        let [upper, lower] = rows.map(|row| columns.map(|column| self.texel(image, row + column)));
+        Cell { upper, lower, at: p - corner }
     }
 
     /// The pixel of this index, linear.
-    #[inline]
+    #[inline(always)]
     pub(crate) fn texel(&self, image: &Image, i: usize) -> Vec3 {
         let decode = |byte: u8, srgb: bool| if srgb { self.srgb[byte as usize] } else { f32::from(byte) / 255.0 };
         match &image.texels {
             Texels::Grey8 { srgb, data } => Vec3::splat(decode(data[i], *srgb)),
-            Texels::Rgb8 { srgb, data } => Vec3::from_array(std::array::from_fn(|c| decode(data[3 * i + c], *srgb))),
+            Texels::Rgb8 { srgb, data } => {
+                let texel = &data[3 * i..3 * i + 3];
+                Vec3::new(decode(texel[0], *srgb), decode(texel[1], *srgb), decode(texel[2], *srgb))
+            }
             Texels::Grey32(data) => Vec3::splat(data[i]),
-            Texels::Rgb32(data) => Vec3::new(data[3 * i], data[3 * i + 1], data[3 * i + 2]),
+            Texels::Rgb32(data) => Vec3::from_slice(&data[3 * i..3 * i + 3]),
         }
     }
 
@@ -118,16 +128,30 @@ struct Cell {
 }
 
 /// Luminance of linear sRGB, with Mitsuba's weights.
-#[inline]
+#[inline(always)]
 pub fn luminance(rgb: Vec3) -> f32 {
     rgb.dot(Vec3::new(0.212_671, 0.715_160, 0.072_169))
 }
 
+/// The largest integer up to `x`, without a call where the processor has no instruction for it.
+#[inline(always)]
+fn floor(x: f32) -> f32 {
+    if x.abs() < 1e9 {
+        let truncated = x as i32 as f32;
+        if truncated > x { truncated - 1.0 } else { truncated }
+    } else {
+        x.floor()
+    }
+}
+
 /// A texel coordinate brought into 0..size. What is not finite becomes 0.
-#[inline]
+#[inline(always)]
 fn wrapped(x: f32, size: u32, wrap: WrapMode) -> u32 {
     let n = i64::from(size);
     let i = x as i64;
+    if (0..n).contains(&i) {
+        return i as u32; // No division: this is the rule.
+    }
     let inside = match wrap {
         WrapMode::Repeat => i.rem_euclid(n),
         WrapMode::Clamp => i.clamp(0, n - 1),

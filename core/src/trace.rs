@@ -58,7 +58,7 @@ impl Tracer {
     }
 
     /// One sample of one pixel: the same value wherever and whenever it is asked for.
-    #[inline]
+    #[inline(always)]
     fn sample<L: Lanes>(&self, lanes: L, estimator: &Estimator, x: u32, y: u32, index: u32) -> Vec3 {
         let Settings { film, seed, sampler, .. } = &self.settings;
         let mut sampler = Sampler::new(*sampler, *seed, x, y, index);

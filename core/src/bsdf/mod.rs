@@ -97,7 +97,7 @@ impl Sample {
 
 impl Closure<'_> {
     /// Scatters into finitely many directions only.
-    #[inline]
+    #[inline(always)]
     pub fn is_delta(&self) -> bool {
         use Closure::{Conductor, Dielectric, Null, ThinDielectric};
         matches!(self, Conductor(_) | Dielectric(_) | ThinDielectric(_) | Null)
@@ -105,7 +105,7 @@ impl Closure<'_> {
 
     /// The share of numbers `lobe`, from zero on, for which [`Closure::sample`] chooses one of finitely many directions:
     /// all for a mirror, those of its coat for smooth plastic.
-    #[inline]
+    #[inline(always)]
     pub fn delta_share(&self, wo: Vec3) -> f32 {
         match self {
             Closure::Plastic(model) => model.mirror_share(wo),
@@ -116,7 +116,7 @@ impl Closure<'_> {
     }
 
     /// [`Closure::eval`] may be positive for directions on opposite sides.
-    #[inline]
+    #[inline(always)]
     pub fn transmits(&self) -> bool {
         match self {
             Closure::RoughDielectric(_) | Closure::PrincipledThin(_) => true,
@@ -126,7 +126,7 @@ impl Closure<'_> {
     }
 
     /// Value and density for a given direction; zero for what is a delta distribution.
-    #[inline]
+    #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         match self {
             Closure::Diffuse(model) => model.eval(wo, wi),
@@ -144,7 +144,7 @@ impl Closure<'_> {
     }
 
     /// A direction for the numbers `lobe` and `u`, or none where light is absorbed.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
         match self {
             Closure::Diffuse(model) => model.sample(wo, u),

@@ -7,6 +7,7 @@
 //! Nothing here knows of shapes, materials or meshes: triangles are numbers with three vertices.
 
 mod aabb;
+mod boxes;
 mod build;
 mod node;
 pub mod simd;
@@ -17,6 +18,7 @@ mod traverse;
 mod triangle;
 
 pub use aabb::Aabb;
+pub use boxes::Boxes;
 pub use build::{Built, LeafCost};
 pub use node::{Bvh8, Child, Leaf, Node};
 pub use traverse::{Leaves, Ray, Slabs};

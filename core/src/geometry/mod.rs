@@ -3,7 +3,7 @@
 mod tangents;
 
 use crate::bvh::simd::Lanes;
-use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit};
+use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit, triangle_bounds};
 use crate::frame::Frame;
 use crate::scene::{Geometry as Shape, Scene};
 use crate::shape::{Analytic, AnalyticBvh};
@@ -60,7 +60,7 @@ pub enum Hit {
 
 impl Hit {
     /// Ray parameter.
-    #[inline]
+    #[inline(always)]
     pub fn t(&self) -> f32 {
         match self {
             Hit::Triangle(hit) => hit.t,
@@ -105,7 +105,7 @@ impl Geometry {
     }
 
     /// The nearest hit; of equally near ones the first primitive.
-    #[inline]
+    #[inline(always)]
     pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<Hit> {
         let triangle = self.bvh.closest(lanes, ray);
         if self.analytic.is_empty() {
@@ -121,14 +121,14 @@ impl Geometry {
     }
 
     /// Whether anything lies on the ray.
-    #[inline]
+    #[inline(always)]
     pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
         self.bvh.occluded(lanes, ray)
             || (!self.analytic.is_empty() && self.analytic_bvh.occluded(lanes, &self.analytic, ray))
     }
 
     /// The surface where a ray hit it.
-    #[inline]
+    #[inline(always)]
     pub fn surface(&self, ray: &Ray, hit: Hit) -> Surface {
         match hit {
             Hit::Triangle(TriangleHit { u, v, triangle, .. }) => self.triangle_surface(triangle, Vec2::new(u, v)),
@@ -137,7 +137,7 @@ impl Geometry {
     }
 
     /// The point of a triangle with barycentric coordinates `b` of its vertices 1 and 2.
-    #[inline]
+    #[inline(always)]
     pub fn triangle_surface(&self, triangle: u32, b: Vec2) -> Surface {
         let shape = self.triangle_shapes[triangle as usize];
         let table = &self.shapes[shape as usize];
@@ -174,13 +174,13 @@ impl Geometry {
     }
 
     /// The point of an analytic shape nearest to `position`.
-    #[inline]
+    #[inline(always)]
     pub fn analytic_surface(&self, index: u32, position: Vec3) -> Surface {
         self.analytic_point(index, self.analytic[index as usize].point(position))
     }
 
     /// A point of an analytic shape as a surface.
-    #[inline]
+    #[inline(always)]
     pub fn analytic_point(&self, index: u32, point: crate::shape::Point) -> Surface {
         let shape = self.analytic_shapes[index as usize];
         let table = &self.shapes[shape as usize];
@@ -223,6 +223,28 @@ impl Geometry {
         }
     }
 
+    /// A box around a primitive, padded as in the hierarchy: a ray that meets the primitive meets the box.
+    pub fn padded_bounds(&self, primitive: u32) -> Aabb {
+        match self.analytic_index(primitive) {
+            Some(_) => self.bounds(primitive),
+            None => triangle_bounds(self.vertices(primitive)),
+        }
+    }
+
+    /// The light that a hit is part of, if any.
+    #[inline(always)]
+    pub fn light_of(&self, hit: &Hit) -> Option<u32> {
+        match hit {
+            Hit::Triangle(hit) => {
+                self.shapes[self.triangle_shapes[hit.triangle as usize] as usize].light_of(hit.triangle)
+            }
+            Hit::Analytic { index, .. } => {
+                let table = &self.shapes[self.analytic_shapes[*index as usize] as usize];
+                table.light_of(table.first_primitive)
+            }
+        }
+    }
+
     /// A cone around all shading normals of a primitive: its unit axis and the cosine of its half angle, −1 for all directions.
     pub fn normal_cone(&self, primitive: u32) -> (Vec3, f32) {
         let Some(index) = self.analytic_index(primitive) else {
@@ -244,13 +266,13 @@ impl Geometry {
     }
 
     /// The vertices of a triangle.
-    #[inline]
+    #[inline(always)]
     pub fn vertices(&self, triangle: u32) -> [Vec3; 3] {
         self.triangles[triangle as usize].map(|i| self.positions[i as usize])
     }
 
     /// Area of a triangle.
-    #[inline]
+    #[inline(always)]
     pub fn triangle_area(&self, triangle: u32) -> f32 {
         let [p0, p1, p2] = self.vertices(triangle);
         0.5 * (p1 - p0).cross(p2 - p0).length()
@@ -268,7 +290,7 @@ impl Geometry {
 }
 
 impl ShapeTable {
-    #[inline]
+    #[inline(always)]
     fn light_of(&self, primitive: u32) -> Option<u32> {
         (self.first_light != NONE).then(|| self.first_light + (primitive - self.first_primitive))
     }

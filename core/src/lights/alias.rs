@@ -1,5 +1,8 @@
 //! Choice among weighted items in constant time (Walker 1974; Vose 1991).
 
+/// The largest number below 1.
+const BELOW_ONE: f32 = 1.0 - 0.5 * f32::EPSILON;
+
 /// A table over weighted items.
 pub struct AliasTable {
     /// For each bin: the share of it that is the item's own, and the item that has the rest.
@@ -30,19 +33,21 @@ impl AliasTable {
         Self { bins, probabilities }
     }
 
-    /// An item and its probability; none if no item has weight.
-    #[inline]
-    pub fn sample(&self, u: f32) -> Option<(u32, f32)> {
-        let at = u * self.bins.len() as f32;
+    /// An item and its probability; none if no item has weight. What is left of `u` is a fresh number.
+    #[inline(always)]
+    pub fn sample(&self, u: &mut f32) -> Option<(u32, f32)> {
+        let at = *u * self.bins.len() as f32;
         let bin = (at as usize).min(self.bins.len().checked_sub(1)?);
         let (share, alias) = self.bins[bin];
-        let item = if at - (bin as f32) < share { bin as u32 } else { alias };
+        let at = at - bin as f32;
+        let (item, rest) = if at < share { (bin as u32, at / share) } else { (alias, (at - share) / (1.0 - share)) };
+        *u = rest.min(BELOW_ONE);
         let probability = self.probabilities[item as usize];
         (probability > 0.0).then_some((item, probability))
     }
 
     /// The probability of an item.
-    #[inline]
+    #[inline(always)]
     pub fn probability(&self, item: u32) -> f32 {
         self.probabilities[item as usize]
     }

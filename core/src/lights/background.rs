@@ -17,7 +17,7 @@ pub enum Background {
 impl Background {
     /// Radiance from the unit direction `wi`, and the density of [`Background::sample`] there, in solid angle. With `mis` the
     /// density leaves gaps where other sampling does better.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
         match self {
             Background::Constant(radiance) => (*radiance, UNIFORM_SPHERE_PDF),
@@ -26,7 +26,7 @@ impl Background {
     }
 
     /// A direction to light from.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> Vec3 {
         match self {
             Background::Constant(_) => uniform_sphere(u),

@@ -11,6 +11,7 @@
 use super::luminance;
 use crate::scene::Image;
 use crate::texture::Textures;
+use crate::trig::{atan2, sin_cos_turn};
 use crate::warp::inverse_linear;
 use glam::{Mat3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
@@ -78,13 +79,13 @@ impl Environment {
         self.mean_luminance
     }
 
-    #[inline]
+    #[inline(always)]
     fn distribution(&self, mis: bool) -> &Distribution {
         self.compensated.as_ref().filter(|_| mis).unwrap_or(&self.alone)
     }
 
     /// Radiance from `wi` and the density of [`Environment::sample`] there.
-    #[inline]
+    #[inline(always)]
     pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
         let cell = self.cell(self.to_world.transpose() * wi);
         let [a, b, c, d] = self.corners(textures, cell.column, cell.row);
@@ -104,7 +105,7 @@ impl Environment {
     }
 
     /// A unit direction for two random numbers.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> Vec3 {
         let distribution = self.distribution(mis);
         let (row, v) = choose(&distribution.rows, u.y);
@@ -116,20 +117,20 @@ impl Environment {
         let down = inverse_linear(v, a + b, c + d);
         let across = inverse_linear(u, a + (c - a) * down, b + (d - b) * down);
         let height = self.heights[row] + (self.heights[row + 1] - self.heights[row]) * down;
-        let (sin_phi, cos_phi) = libm::sincosf(TAU * (column as f32 + 0.5 + across) / self.image.width as f32);
+        let (sin_phi, cos_phi) = sin_cos_turn((column as f32 + 0.5 + across) / self.image.width as f32);
         let sin_theta = (height * (2.0 - height)).max(0.0).sqrt();
         self.to_world * Vec3::new(sin_theta * sin_phi, 1.0 - height, -sin_theta * cos_phi)
     }
 
     /// Where a direction of the image's space meets it.
-    #[inline]
+    #[inline(always)]
     fn cell(&self, d: Vec3) -> Cell {
         let width = self.image.width as usize;
-        let around = libm::atan2f(d.x, -d.z) / TAU * width as f32 - 0.5;
+        let around = atan2(d.x, -d.z) / TAU * width as f32 - 0.5;
         let around = if around < 0.0 { around + width as f32 } else { around };
         let column = (around as usize).min(width - 1);
         let sin2 = d.x * d.x + d.z * d.z;
-        let down = libm::atan2f(sin2.sqrt(), d.y) / PI * (self.heights.len() - 1) as f32;
+        let down = atan2(sin2.sqrt(), d.y) / PI * (self.heights.len() - 1) as f32;
         let row = (down as usize).min(self.heights.len() - 2);
         // 1 − cos θ without cancellation.
         let from_pole = sin2 / (1.0 + d.y.abs());
@@ -145,7 +146,7 @@ impl Environment {
     }
 
     /// The texels around a cell: upper left and right, lower left and right.
-    #[inline]
+    #[inline(always)]
     fn corners(&self, textures: &Textures, column: usize, row: usize) -> [Vec3; 4] {
         let width = self.image.width as usize;
         let next = if column + 1 == width { 0 } else { column + 1 };
@@ -175,12 +176,12 @@ impl Distribution {
         (distribution, row_weights.iter().sum::<f64>() as f32)
     }
 
-    #[inline]
+    #[inline(always)]
     fn weight(&self, luminance: f32) -> f32 {
         (luminance - self.floor).max(0.0)
     }
 
-    #[inline]
+    #[inline(always)]
     fn probability(&self, column: usize, row: usize, width: usize) -> f32 {
         let at = row * (width + 1) + column;
         let share = |steps: u32| steps as f32 * (1.0 / STEPS as f32);
@@ -206,7 +207,7 @@ fn cumulate(weights: &[f64]) -> Vec<u32> {
 }
 
 /// The item that `u` falls on, and where on it, in (0, 1).
-#[inline]
+#[inline(always)]
 fn choose(cumulative: &[u32], u: f32) -> (usize, f32) {
     let step = (u * STEPS as f32) as u32;
     let item = cumulative.partition_point(|&c| c <= step).clamp(1, cumulative.len() - 1) - 1;
@@ -265,7 +266,7 @@ mod tests {
             let (map, textures) = environment(5, 4, uneven);
             let boxes = 16usize;
             let index = |d: Vec3| {
-                let (v, u) = (0.5 * (1.0 - d.z), libm::atan2f(d.y, d.x) / TAU + 0.5);
+                let (v, u) = (0.5 * (1.0 - d.z), atan2(d.y, d.x) / TAU + 0.5);
                 ((v * boxes as f32) as usize).min(boxes - 1) * boxes + ((u * boxes as f32) as usize).min(boxes - 1)
             };
             let (mut seen, mut expected) = (vec![0.0; boxes * boxes], vec![0.0; boxes * boxes]);

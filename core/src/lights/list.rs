@@ -4,7 +4,7 @@ use super::background::Background;
 use super::environment::Environment;
 use super::luminance;
 use super::spot::Spot;
-use crate::bvh::Aabb;
+use crate::bvh::{Aabb, Boxes};
 use crate::geometry::Geometry;
 use crate::scene::{Emitter, Scene, TextureId};
 use crate::texture::Textures;
@@ -68,6 +68,13 @@ pub fn list(scene: &Scene, geometry: &Geometry, textures: &Textures) -> (Vec<Lis
         background = around.or(background);
     }
     (lights, background)
+}
+
+/// Boxes around the shapes that emit, as the hierarchy has them.
+pub fn boxes(scene: &Scene, geometry: &Geometry) -> Boxes {
+    let around = |i: usize| geometry.primitives(i).fold(Aabb::EMPTY, |all, p| all.union(geometry.padded_bounds(p)));
+    let shapes = scene.shapes.iter().enumerate();
+    Boxes::new(shapes.filter(|(_, shape)| shape.radiance.is_some()).map(|(i, _)| around(i)).collect())
 }
 
 fn surface(geometry: &Geometry, primitive: u32, radiance: TextureId, brightness: f32) -> Listed {

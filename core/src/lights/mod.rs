@@ -11,7 +11,8 @@ mod spot;
 mod tree;
 mod triangle;
 
-use crate::bvh::Ray;
+use crate::bvh::simd::Lanes;
+use crate::bvh::{Boxes, Ray};
 use crate::geometry::Geometry;
 use crate::scene::{Scene, TextureId};
 use crate::shape::area_to_solid_angle;
@@ -26,6 +27,10 @@ use list::Light;
 pub struct Lights {
     lights: Vec<Light>,
     choice: Choice,
+    /// Whether one random number does for the choice and a coordinate on the light.
+    one_number: bool,
+    /// Around all that a ray can meet and that shines; none if that may be everywhere.
+    reachable: Option<Boxes>,
     /// The background and the probability to choose it.
     background: Option<(Background, f32)>,
 }
@@ -68,22 +73,31 @@ impl Lights {
         let around = listed.iter().position(|l| matches!(l.light, Light::Background));
         let probability = around.map_or(0.0, |i| choice.probability(i as u32, Vec3::ZERO, Vec3::ZERO));
         let background = background.map(|background| (background, probability));
-        Self { lights: listed.into_iter().map(|l| l.light).collect(), choice, background }
+        let reachable = background.is_none().then(|| list::boxes(scene, geometry));
+        let lights = listed.into_iter().map(|l| l.light).collect();
+        Self { lights, one_number: choice.leaves_much(), choice, reachable, background }
     }
 
-    /// Light to the surface from a light chosen by `choice`, at its point chosen by `u`; none where none can come. With `mis`
+    /// Whether a ray may meet something that shines, as far as can be told at once.
+    #[inline(always)]
+    pub fn may_meet<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
+        self.reachable.as_ref().is_none_or(|boxes| boxes.meets(lanes, ray))
+    }
+
+    /// Light to the surface from a light chosen by `choice` or by `u` alone, at its point chosen by `u`; none where none can come. With `mis`
     /// BSDF sampling looks for light too, and what it finds better may be left to it.
-    #[inline]
+    #[inline(always)]
     pub fn sample(
         &self,
         geometry: &Geometry,
         textures: &Textures,
         surface: &Surface,
-        choice: f32,
-        u: Vec2,
+        choice: impl FnOnce() -> f32,
+        mut u: Vec2,
         mis: bool,
     ) -> Option<LightSample> {
-        let (i, probability) = self.choice.sample(choice, surface.position, surface.frame.n)?;
+        let chooser = if self.one_number { &mut u.x } else { &mut choice() };
+        let (i, probability) = self.choice.sample(chooser, surface.position, surface.frame.n)?;
         match self.lights[i as usize] {
             Light::Triangle { triangle, area, radiance } => {
                 let vertices = geometry.vertices(triangle);
@@ -119,7 +133,7 @@ impl Lights {
 
     /// Density in solid angle with which [`Lights::sample`] finds the emitting point `point` from a surface at `from` with the
     /// shading normal `normal`.
-    #[inline]
+    #[inline(always)]
     pub fn pdf(&self, geometry: &Geometry, from: Vec3, normal: Vec3, point: &Surface, light: u32) -> f32 {
         let density = match self.lights[light as usize] {
             Light::Triangle { triangle, area, .. } => {
@@ -132,7 +146,7 @@ impl Lights {
     }
 
     /// Radiance that an emitting point sends towards `wo` (a unit vector): from the side of its shading normal.
-    #[inline]
+    #[inline(always)]
     pub fn emitted(&self, textures: &Textures, point: &Surface, light: u32, wo: Vec3) -> Vec3 {
         match self.lights[light as usize] {
             Light::Triangle { radiance, .. } | Light::Analytic { radiance, .. } if point.frame.n.dot(wo) > 0.0 => {
@@ -144,7 +158,7 @@ impl Lights {
 
     /// Radiance from beyond the scene in the unit direction `wi`, and the density with which light sampling finds it; none
     /// where nothing shines there.
-    #[inline]
+    #[inline(always)]
     pub fn background(&self, textures: &Textures, wi: Vec3, mis: bool) -> Option<(Vec3, f32)> {
         let (background, probability) = self.background.as_ref()?;
         let (radiance, pdf) = background.at(textures, wi, mis);
@@ -162,7 +176,7 @@ impl Lights {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn from_surface(
     textures: &Textures,
     radiance: TextureId,
@@ -179,7 +193,7 @@ fn from_surface(
 }
 
 /// Light from a point, of the intensity that it has in the direction to the surface.
-#[inline]
+#[inline(always)]
 fn from_point(
     surface: &Surface,
     position: Vec3,
@@ -202,7 +216,7 @@ fn from_point(
 }
 
 /// Luminance of linear sRGB (ITU-R BT.709).
-#[inline]
+#[inline(always)]
 pub fn luminance(rgb: Vec3) -> f32 {
     rgb.dot(Vec3::new(0.212_671, 0.715_160, 0.072_169))
 }

@@ -67,9 +67,10 @@ impl LightTree {
         self.build(lights, second, index, depth + 1);
     }
 
-    /// A light for the random number `u` at a point with a normal, and its probability; none where none can shine.
-    #[inline]
-    pub fn sample(&self, mut u: f32, position: Vec3, normal: Vec3) -> Option<(u32, f32)> {
+    /// A light for the random number `u` at a point with a normal, and its probability; none where none can shine. What is left
+    /// of `u` is a fresh number.
+    #[inline(always)]
+    pub fn sample(&self, u: &mut f32, position: Vec3, normal: Vec3) -> Option<(u32, f32)> {
         let mut index = 0;
         let mut probability = 1.0;
         loop {
@@ -78,12 +79,12 @@ impl LightTree {
                 return Some((node.next, probability));
             }
             let share = self.share_of_first(index, position, normal)?;
-            if u < share {
-                u /= share;
+            if *u < share {
+                *u /= share;
                 probability *= share;
                 index += 1;
             } else {
-                u = ((u - share) / (1.0 - share)).min(1.0 - 0.5 * f32::EPSILON);
+                *u = ((*u - share) / (1.0 - share)).min(1.0 - 0.5 * f32::EPSILON);
                 probability *= 1.0 - share;
                 index = node.next;
             }
@@ -91,7 +92,7 @@ impl LightTree {
     }
 
     /// The probability of [`LightTree::sample`] to give `light`.
-    #[inline]
+    #[inline(always)]
     pub fn probability(&self, light: u32, position: Vec3, normal: Vec3) -> f32 {
         let mut index = self.leaves[light as usize];
         let mut probability = 1.0;
@@ -105,7 +106,7 @@ impl LightTree {
     }
 
     /// The probability of an inner node's first child; none where neither can shine.
-    #[inline]
+    #[inline(always)]
     fn share_of_first(&self, index: u32, position: Vec3, normal: Vec3) -> Option<f32> {
         let first = self.nodes[index as usize + 1].lobe.importance(position, normal);
         let second = self.nodes[self.nodes[index as usize].next as usize].lobe.importance(position, normal);
@@ -132,7 +133,7 @@ impl Lobe {
 
     /// About the irradiance that it may cause at a point, up to a factor; zero only where it causes none. Lights behind the
     /// surface count like those before it, since the surface may transmit.
-    #[inline]
+    #[inline(always)]
     fn importance(&self, position: Vec3, normal: Vec3) -> f32 {
         let towards = position - self.centre;
         let distance2 = towards.length_squared();
@@ -184,14 +185,14 @@ impl Reach {
 }
 
 /// √(1 − x²).
-#[inline]
+#[inline(always)]
 fn sine(cosine: f32) -> f32 {
     (1.0 - cosine * cosine).max(0.0).sqrt()
 }
 
 /// Cosine and sine of max(0, a − b), of the cosines and sines of two angles in [0, π]. Selected, not branched: which angle is
 /// larger is as good as random.
-#[inline]
+#[inline(always)]
 fn less(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
     let (cos, sin) = (a.0 * b.0 + a.1 * b.1, a.1 * b.0 - a.0 * b.1);
     let none = a.0 >= b.0;
@@ -299,7 +300,7 @@ mod tests {
                 let mut found = 0.0;
                 for i in 0..n {
                     let u = (f32::from(i) + 0.5) / f32::from(n);
-                    let Some((light, p)) = tree.sample(u, position, normal) else { continue };
+                    let Some((light, p)) = tree.sample(&mut u.clone(), position, normal) else { continue };
                     found += 1.0 / f32::from(n);
                     assert!(
                         (p - probability[light as usize]).abs() <= 1e-5 * p,

@@ -47,7 +47,7 @@ impl Disk {
     }
 
     /// Where the ray crosses the plane, if within the rim.
-    #[inline]
+    #[inline(always)]
     pub fn intersect(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<f32> {
         let o = self.to_object.transform_point3(origin);
         let d = self.to_object.transform_vector3(direction);
@@ -57,7 +57,7 @@ impl Disk {
     }
 
     /// The point of the disk's plane nearest to `position`.
-    #[inline]
+    #[inline(always)]
     pub fn point(&self, position: Vec3) -> Point {
         let local = self.to_object.transform_point3(position);
         self.at(Vec2::new(local.x, local.y))
@@ -74,7 +74,7 @@ impl Disk {
     }
 
     /// A point uniform over the area.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, from: Vec3, u: Vec2) -> Option<(Point, f32)> {
         let point = self.at(concentric_disk(u));
         let pdf = area_to_solid_angle(1.0 / self.area, from, point.position, point.normal);
@@ -82,7 +82,7 @@ impl Disk {
     }
 
     /// The point at object coordinates (x, y, 0).
-    #[inline]
+    #[inline(always)]
     fn at(&self, local: Vec2) -> Point {
         let (x, y) = (self.to_world.matrix3.x_axis * local.x, self.to_world.matrix3.y_axis * local.y);
         let phi = libm::atan2f(local.y, local.x);

@@ -25,7 +25,7 @@ impl AnalyticBvh {
     }
 
     /// The nearest hit up to `ray.t_max`, and the index of its shape; of equally near ones the first shape.
-    #[inline]
+    #[inline(always)]
     pub fn closest<L: Lanes>(&self, lanes: L, shapes: &[Analytic], ray: &Ray) -> Option<(f32, u32)> {
         let mut visit = Visit { shapes, order: &self.order, ray, nearest: None };
         self.bvh.nearest(lanes, ray, &mut visit);
@@ -33,7 +33,7 @@ impl AnalyticBvh {
     }
 
     /// Whether any shape is hit up to `ray.t_max`.
-    #[inline]
+    #[inline(always)]
     pub fn occluded<L: Lanes>(&self, lanes: L, shapes: &[Analytic], ray: &Ray) -> bool {
         self.bvh.any(lanes, ray, &mut Visit { shapes, order: &self.order, ray, nearest: None })
     }
@@ -47,7 +47,7 @@ struct Visit<'a> {
 }
 
 impl Visit<'_> {
-    #[inline]
+    #[inline(always)]
     fn hits(&self, leaf: Leaf, t_max: f32) -> impl Iterator<Item = (f32, u32)> {
         self.order[leaf.first as usize..][..leaf.count as usize].iter().filter_map(move |&i| {
             self.shapes[i as usize].intersect(self.ray.origin, self.ray.direction, t_max).map(|t| (t, i))
@@ -56,19 +56,19 @@ impl Visit<'_> {
 }
 
 impl<L: Lanes> Leaves<L> for Visit<'_> {
-    #[inline]
+    #[inline(always)]
     fn nearest(&mut self, _: L, _: &Slabs, leaf: Leaf, t_max: f32) -> f32 {
         let first = |a: (f32, u32), b: (f32, u32)| if b < a { b } else { a };
         self.nearest = self.hits(leaf, t_max).chain(self.nearest).reduce(first);
         self.nearest.map_or(t_max, |(t, _)| t)
     }
 
-    #[inline]
+    #[inline(always)]
     fn address(&self, leaf: Leaf) -> *const u8 {
         self.order.as_ptr().wrapping_add(leaf.first as usize).cast()
     }
 
-    #[inline]
+    #[inline(always)]
     fn any(&mut self, _: L, _: &Slabs, leaf: Leaf, t_max: f32) -> bool {
         self.hits(leaf, t_max).next().is_some()
     }

@@ -60,7 +60,7 @@ impl Analytic {
     }
 
     /// The smallest t in (0, t_max] where the ray meets it.
-    #[inline]
+    #[inline(always)]
     pub fn intersect(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<f32> {
         match self {
             Self::Sphere(sphere) => sphere.intersect(origin, direction, t_max),
@@ -70,7 +70,7 @@ impl Analytic {
     }
 
     /// The point of the shape that a ray met near `position`.
-    #[inline]
+    #[inline(always)]
     pub fn point(&self, position: Vec3) -> Point {
         match self {
             Self::Sphere(sphere) => sphere.point(position),
@@ -106,7 +106,7 @@ impl Analytic {
     }
 
     /// A point to light `from` from, and its density in solid angle as seen from there; none if none can.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, from: Vec3, u: Vec2) -> Option<(Point, f32)> {
         match self {
             Self::Sphere(sphere) => sphere.sample(from, u),
@@ -116,7 +116,7 @@ impl Analytic {
     }
 
     /// The density in solid angle of [`Analytic::sample`] at a point of the shape seen from `from`.
-    #[inline]
+    #[inline(always)]
     pub fn pdf(&self, from: Vec3, point: Vec3, normal: Vec3) -> f32 {
         match self {
             Self::Sphere(sphere) => sphere.pdf(from, point, normal),
@@ -127,7 +127,7 @@ impl Analytic {
 }
 
 /// A density over area turned into one over solid angle seen from `from`: p · d² / |cos θ|. Zero where it is seen edge-on.
-#[inline]
+#[inline(always)]
 pub fn area_to_solid_angle(pdf_area: f32, from: Vec3, point: Vec3, normal: Vec3) -> f32 {
     let towards = point - from;
     let squared = towards.length_squared();

@@ -3,6 +3,7 @@
 use super::{Point, area_to_solid_angle};
 use crate::frame::Frame;
 use crate::surface::gamma;
+use crate::trig::atan2;
 use crate::warp::{UNIFORM_SPHERE_PDF, uniform_cone, uniform_cone_pdf, uniform_sphere};
 use glam::{Affine3, Mat3, Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
@@ -44,7 +45,7 @@ impl Sphere {
     /// The smallest root in (0, t_max], without cancellation: the discriminant is taken from the distance between the centre
     /// and the ray, and the second root from the first (Haines, Günther & Akenine-Möller 2019, "Precision Improvements for
     /// Ray/Sphere Intersection").
-    #[inline]
+    #[inline(always)]
     pub fn intersect(&self, origin: Vec3, direction: Vec3, t_max: f32) -> Option<f32> {
         let f = origin - self.centre;
         let a = direction.length_squared();
@@ -66,15 +67,15 @@ impl Sphere {
     }
 
     /// The point of the surface nearest to `position`.
-    #[inline]
+    #[inline(always)]
     pub fn point(&self, position: Vec3) -> Point {
         let outward = (position - self.centre).normalize();
         let on_surface = self.centre + outward * self.radius;
         let local = self.rotation * outward;
-        let phi = libm::atan2f(local.y, local.x);
+        let phi = atan2(local.y, local.x);
         let u = if phi < 0.0 { phi + TAU } else { phi } / TAU;
         let rho = (local.x * local.x + local.y * local.y).sqrt();
-        let theta = libm::atan2f(rho, local.z);
+        let theta = atan2(rho, local.z);
         Point {
             position: on_surface,
             error: (self.centre.abs() + Vec3::splat(self.radius)) * gamma(6),
@@ -97,7 +98,7 @@ impl Sphere {
 
     /// From outside: a direction uniform in the cone that the sphere fills, and the point met there first. From inside: a
     /// point uniform over the surface.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, from: Vec3, u: Vec2) -> Option<(Point, f32)> {
         let Some(one_minus_cos) = self.cone(from) else {
             let point = self.point(self.centre + uniform_sphere(u) * self.radius);
@@ -117,7 +118,7 @@ impl Sphere {
     }
 
     /// The density of [`Sphere::sample`] in solid angle.
-    #[inline]
+    #[inline(always)]
     pub fn pdf(&self, from: Vec3, point: Vec3, normal: Vec3) -> f32 {
         match self.cone(from) {
             Some(one_minus_cos) => uniform_cone_pdf(one_minus_cos),
@@ -126,7 +127,7 @@ impl Sphere {
     }
 
     /// 1 − cos of the half angle that the sphere fills seen from `from`; none from inside or on it.
-    #[inline]
+    #[inline(always)]
     fn cone(&self, from: Vec3) -> Option<f32> {
         let sin2 = self.radius * self.radius / (self.centre - from).length_squared();
         // So near to the surface the cone's rim cannot be told from the horizon.
