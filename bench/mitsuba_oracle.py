@@ -40,15 +40,10 @@ def load_scene(mitsuba, path, defines=(), size=None):
     lights, so that wherever a filter's weights are not symmetrical (the first and last column) the mean is off, by more
     than a percent in veach-mis."""
     text = re.sub(r'(<sampler\s+type=)"\w+"', r'\1"independent"', pathlib.Path(path).read_text())
+    for name, pixels in zip(('width', 'height'), size or ()):
+        text = re.sub(rf'(name="{name}"\s+value=)"[^"]*"', rf'\1"{pixels}"', text)
     mitsuba.file_resolver().prepend(str(pathlib.Path(path).parent))
-    scene = mitsuba.load_string(text, **dict(define.split('=', 1) for define in defines))
-    if size:
-        parameters = mitsuba.traverse(scene)
-        film = next(key for key in parameters.keys() if key.endswith('film.size'))
-        parameters[film] = list(size)
-        parameters[film.replace('film.size', 'film.crop_size')] = list(size)
-        parameters.update()
-    return scene
+    return mitsuba.load_string(text, **dict(define.split('=', 1) for define in defines))
 
 
 def version(library):
