@@ -9,7 +9,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 use tilecast_core::bvh::Stats;
 use tilecast_core::bvh::simd::Isa;
-use tilecast_core::scene::{Bsdf, Emitter, Geometry, Mesh, Scene, Texels, Texture};
+use tilecast_core::geometry::Memory;
+use tilecast_core::scene::{Bsdf, Emitter, Geometry, Mesh, Scene, Shape, Texture};
 use tilecast_core::settings::Settings;
 use tilecast_core::world::World;
 
@@ -27,15 +28,18 @@ pub struct Info {
 #[derive(Serialize)]
 struct Facts {
     scene: String,
-    /// How many of each kind; surfaces that several shapes share count for each.
+    /// How many of each kind, those in groups included; surfaces that several shapes share count for each.
     shapes: BTreeMap<&'static str, usize>,
+    /// As kept; what instances place counts once.
     triangles: usize,
+    instances: usize,
+    /// What the instances place, counted for each.
+    instanced_triangles: usize,
     materials: BTreeMap<&'static str, usize>,
     textures: BTreeMap<&'static str, usize>,
     lights: BTreeMap<&'static str, usize>,
     images: Vec<ImageFacts>,
-    /// Of meshes and images as loaded.
-    memory_bytes: usize,
+    memory: MemoryFacts,
     /// Over the triangles.
     hierarchy: HierarchyFacts,
     /// What this machine would trace with.
@@ -52,6 +56,21 @@ struct HierarchyFacts {
     /// Cost of an average ray by the surface area heuristic, in visits of a node.
     sah_cost: f32,
     build_seconds: f64,
+}
+
+/// What a worker holds while it renders, in bytes.
+#[derive(Serialize)]
+struct MemoryFacts {
+    /// Positions, normals, texture coordinates, indices.
+    surfaces: usize,
+    /// Over triangles, shapes and instances, with the hierarchies' own copies of triangles.
+    hierarchies: usize,
+    /// The places of instances.
+    instances: usize,
+    /// Images and attributes of meshes.
+    textures: usize,
+    /// Surfaces and hierarchies, for each triangle.
+    a_triangle: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -78,30 +97,36 @@ pub async fn run(Info { scene, defines, json }: Info) -> anyhow::Result<()> {
 }
 
 fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
-    let meshes = || scene.shapes.iter().filter_map(|shape| mesh_of(&scene, &shape.geometry));
+    let triangles_of = |shapes: &[Shape]| -> usize {
+        shapes.iter().filter_map(|shape| mesh_of(&scene, &shape.geometry)).map(|mesh| mesh.triangles.len()).sum()
+    };
+    let triangles = scene.levels().map(triangles_of).sum();
+    let of_groups: Vec<usize> = scene.groups.iter().map(|group| triangles_of(&group.shapes)).collect();
     let images: Vec<ImageFacts> = scene
         .images
         .iter()
-        .map(|image| ImageFacts { width: image.width, height: image.height, bytes: texel_bytes(&image.texels) })
+        .map(|image| ImageFacts { width: image.width, height: image.height, bytes: image.bytes() })
         .collect();
-    let mesh_bytes = scene.meshes.iter().map(|mesh| mesh_bytes(mesh)).sum::<usize>();
     let begun = Instant::now();
-    let Stats { nodes, blocks, bytes, sah_cost } = World::compile(&scene).geometry.triangle_stats();
+    let world = World::compile(&scene);
     let build_seconds = begun.elapsed().as_secs_f64();
+    let Stats { nodes, blocks, bytes, sah_cost } = world.geometry.triangle_stats();
     let area_lights = scene.shapes.iter().filter(|shape| shape.radiance.is_some()).map(|_| "area");
     Facts {
         scene: blobs.digest.to_string(),
-        shapes: count(scene.shapes.iter().map(|shape| match shape.geometry {
+        shapes: count(scene.levels().flatten().map(|shape| match shape.geometry {
             Geometry::Mesh(_) => "mesh",
             Geometry::Sphere { .. } => "sphere",
             Geometry::Disk { .. } => "disk",
             Geometry::Cylinder { .. } => "cylinder",
         })),
-        triangles: meshes().map(|mesh| mesh.triangles.len()).sum(),
+        triangles,
+        instances: scene.instances.len(),
+        instanced_triangles: scene.instances.iter().map(|instance| of_groups[instance.group.0 as usize]).sum(),
         materials: count(scene.bsdfs.iter().map(bsdf_name)),
         textures: count(scene.textures.iter().filter_map(texture_name)),
         lights: count(scene.emitters.iter().map(emitter_name).chain(area_lights)),
-        memory_bytes: mesh_bytes + images.iter().map(|image| image.bytes).sum::<usize>(),
+        memory: memory(&world, triangles),
         images,
         hierarchy: HierarchyFacts { nodes, blocks, bytes, sah_cost, build_seconds },
         isa: Isa::detect().name(),
@@ -110,24 +135,16 @@ fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
     }
 }
 
+fn memory(world: &World, triangles: usize) -> MemoryFacts {
+    let Memory { surfaces, hierarchies, instances } = world.geometry.memory();
+    let a_triangle = (triangles > 0).then(|| (surfaces + hierarchies) as f64 / triangles as f64);
+    MemoryFacts { surfaces, hierarchies, instances, textures: world.textures.bytes(), a_triangle }
+}
+
 fn mesh_of<'a>(scene: &'a Scene, geometry: &Geometry) -> Option<&'a Mesh> {
     match geometry {
         Geometry::Mesh(id) => scene.meshes.get(id.0 as usize).map(|mesh| &**mesh),
         Geometry::Sphere { .. } | Geometry::Disk { .. } | Geometry::Cylinder { .. } => None,
-    }
-}
-
-fn mesh_bytes(mesh: &Mesh) -> usize {
-    size_of_val(&*mesh.positions)
-        + size_of_val(&*mesh.normals)
-        + size_of_val(&*mesh.uvs)
-        + size_of_val(&*mesh.triangles)
-}
-
-fn texel_bytes(texels: &Texels) -> usize {
-    match texels {
-        Texels::Grey8 { data, .. } | Texels::Rgb8 { data, .. } => data.len(),
-        Texels::Grey32(data) | Texels::Rgb32(data) => size_of_val(&**data),
     }
 }
 
@@ -159,6 +176,7 @@ fn texture_name(texture: &Texture) -> Option<&'static str> {
         Texture::Constant(_) => None,
         Texture::Checkerboard { .. } => Some("checkerboard"),
         Texture::Bitmap { .. } => Some("bitmap"),
+        Texture::MeshAttribute { .. } => Some("mesh_attribute"),
     }
 }
 
@@ -194,7 +212,7 @@ fn text(facts: &Facts) -> String {
         format!("materials  {}", list(&facts.materials)),
         format!("textures   {}", list(&facts.textures)),
         format!("lights     {}", list(&facts.lights)),
-        format!("memory     {:.1} MB of meshes and images", facts.memory_bytes as f64 / 1e6),
+        memory_line(&facts.memory),
         format!(
             "hierarchy  {} nodes, {} blocks of triangles, {:.1} MB, average ray costs {:.1} visits, built in {:.2} s",
             nodes,
@@ -209,7 +227,24 @@ fn text(facts: &Facts) -> String {
         format!("samples    {spp} a pixel, {sampler:?}, seed {seed}"),
         format!("integrator {:?}, directions by {strategy:?}, longest path {depth}", integrator.kind),
     ];
+    if facts.instances > 0 {
+        let line = format!("instances  {} of {} triangles in all", facts.instances, facts.instanced_triangles);
+        lines.insert(2, line);
+    }
     lines.extend(facts.images.iter().map(|i| format!("image      {}x{}, {} bytes", i.width, i.height, i.bytes)));
     lines.extend(facts.notes.iter().map(|note| format!("note       {note}")));
     lines.join("\n")
+}
+
+fn memory_line(memory: &MemoryFacts) -> String {
+    let MemoryFacts { surfaces, hierarchies, instances, textures, a_triangle } = memory;
+    let megabytes = |bytes: &usize| *bytes as f64 / 1e6;
+    let a_triangle = a_triangle.map_or(String::new(), |bytes| format!("; {bytes:.0} bytes a triangle"));
+    format!(
+        "memory     surfaces {:.1} MB, hierarchies {:.1} MB, instances {:.1} MB, textures {:.1} MB{a_triangle}",
+        megabytes(surfaces),
+        megabytes(hierarchies),
+        megabytes(instances),
+        megabytes(textures)
+    )
 }

@@ -67,8 +67,8 @@ impl Materials {
         }
         Self {
             bsdfs: scene.bsdfs.clone(),
-            of_shape: scene.shapes.iter().map(|s| s.bsdf).collect(),
-            has_lobes: scene.shapes.iter().map(|s| has_lobes(scene, s.bsdf)).collect(),
+            of_shape: scene.levels().flatten().map(|s| s.bsdf).collect(),
+            has_lobes: scene.levels().flatten().map(|s| has_lobes(scene, s.bsdf)).collect(),
             oriented,
             coats: Coats::new(&scene.bsdfs),
         }
@@ -109,13 +109,13 @@ impl Materials {
                     }
                 }
                 Bsdf::Mask { opacity, nested } => {
-                    if !happens(lobe, textures.at(*opacity, surface.uv).x) {
+                    if !happens(lobe, textures.at(*opacity, surface).x) {
                         return Shading { closure: Closure::Null, frame, tilt: tilt.map(|bent| bent.seen_in(&frame)) };
                     }
                     id = *nested;
                 }
                 Bsdf::BlendBsdf { weight, nested } => {
-                    id = nested[usize::from(happens(lobe, textures.at(*weight, surface.uv).x))];
+                    id = nested[usize::from(happens(lobe, textures.at(*weight, surface).x))];
                 }
                 Bsdf::BumpMap { texture, scale, bend, nested } => {
                     let heights = textures.gradient(*texture, surface.uv) * *scale;
@@ -124,12 +124,12 @@ impl Materials {
                     (id, frame, tilt) = (*nested, map.frame, Some(map));
                 }
                 Bsdf::NormalMap { normalmap, bend, nested } => {
-                    let normal = normal_of_texel(textures.at(*normalmap, surface.uv));
+                    let normal = normal_of_texel(textures.at(*normalmap, surface));
                     let map = bent(&frame, wo, normal, *bend);
                     (id, frame, tilt) = (*nested, map.frame, Some(map));
                 }
                 simple => {
-                    let closure = closure(simple, &self.coats, id, textures, surface.uv);
+                    let closure = closure(simple, &self.coats, id, textures, surface);
                     return Shading { closure, frame, tilt: tilt.map(|bent| bent.seen_in(&frame)) };
                 }
             }

@@ -31,9 +31,13 @@ pub struct Surface {
     pub frame: Frame,
     /// Texture coordinates.
     pub uv: Vec2,
-    /// Index of the shape.
+    /// On a triangle, the weights of its vertices 1 and 2.
+    pub barycentric: Vec2,
+    /// Index of the shape: those of groups come behind the scene's own.
     pub shape: u32,
-    /// The primitive: a triangle or an analytic shape, as [`crate::geometry::Geometry`] numbers them.
+    /// The instance of a group that it is in.
+    pub instance: Option<u32>,
+    /// The primitive: a triangle or an analytic shape, as [`crate::geometry::Geometry`] numbers them in the scene or group.
     pub primitive: u32,
     /// The light that this point is part of, if it emits.
     pub light: Option<u32>,

@@ -1,6 +1,10 @@
 //! Textures, compiled for look-up: the one place where a texture is evaluated.
 
+mod attribute;
+
 use crate::scene::{FilterType, Image, Scene, Texels, Texture, TextureId, WrapMode};
+use crate::surface::Surface;
+use attribute::Attributes;
 use glam::{Affine2, Vec2, Vec3};
 use std::sync::Arc;
 
@@ -8,6 +12,7 @@ use std::sync::Arc;
 pub struct Textures {
     textures: Vec<Texture>,
     images: Vec<Arc<Image>>,
+    attributes: Attributes,
     /// sRGB decoding of a byte (IEC 61966-2-1).
     srgb: [f32; 256],
 }
@@ -18,31 +23,51 @@ impl Textures {
         Self {
             textures: scene.textures.clone(),
             images: scene.images.clone(),
+            attributes: Attributes::new(scene),
             srgb: std::array::from_fn(|i| srgb_to_linear(i as f64 / 255.0) as f32),
         }
     }
 
-    /// The value at texture coordinates `uv`, linear sRGB.
+    /// What they take in memory, images shared with the scene included.
+    pub fn bytes(&self) -> usize {
+        self.images.iter().map(|image| image.bytes()).sum::<usize>() + self.attributes.bytes()
+    }
+
+    /// The value at a point of a surface, linear sRGB.
     #[inline(always)]
-    pub fn at(&self, id: TextureId, uv: Vec2) -> Vec3 {
+    pub fn at(&self, id: TextureId, surface: &Surface) -> Vec3 {
+        self.value(id, surface.uv, Some(surface))
+    }
+
+    /// The value at texture coordinates `uv` of what is no surface (a light's beam), linear sRGB.
+    #[inline(always)]
+    pub fn at_uv(&self, id: TextureId, uv: Vec2) -> Vec3 {
+        self.value(id, uv, None)
+    }
+
+    #[inline(always)]
+    fn value(&self, id: TextureId, uv: Vec2, surface: Option<&Surface>) -> Vec3 {
         match &self.textures[id.0 as usize] {
             Texture::Constant(rgb) => *rgb,
-            varying => self.varying(varying, uv),
+            varying => self.varying(id, varying, uv, surface),
         }
     }
 
     #[inline]
-    fn varying(&self, texture: &Texture, uv: Vec2) -> Vec3 {
+    fn varying(&self, id: TextureId, texture: &Texture, uv: Vec2, surface: Option<&Surface>) -> Vec3 {
         match texture {
             Texture::Constant(rgb) => *rgb,
             Texture::Checkerboard { color0, color1, to_uv } => {
                 // Only the squares are transformed, not the textures in them.
                 let square = to_uv.transform_point2(uv);
                 let high = |x: f32| x - x.floor() > 0.5;
-                self.at(if high(square.x) == high(square.y) { *color0 } else { *color1 }, uv)
+                self.value(if high(square.x) == high(square.y) { *color0 } else { *color1 }, uv, surface)
             }
             Texture::Bitmap { image, to_uv, filter, wrap, scale } => {
                 self.bitmap(&self.images[image.0 as usize], to_uv, *filter, *wrap, uv) * *scale
+            }
+            Texture::MeshAttribute { scale, .. } => {
+                surface.map_or(Vec3::ZERO, |surface| self.attributes.at(id.0, surface) * *scale)
             }
         }
     }
@@ -116,6 +141,7 @@ impl Textures {
                 let sum: glam::DVec3 = (0..pixels).map(|i| self.texel(image, i).as_dvec3()).sum();
                 (sum / pixels as f64).as_vec3() * *scale
             }
+            Texture::MeshAttribute { scale, .. } => self.attributes.mean(id.0) * *scale,
         }
     }
 }

@@ -29,6 +29,7 @@ const DIFFERENCES: &[(&str, &str)] = &[
     ("sphere", "A scale that differs by axis is an error; Mitsuba uses the first axis' scale for all of them."),
     ("obj", "Negative indices count back from the latest, as the format has it; Mitsuba refuses them."),
     ("ply", "Faces of more than three corners are cut into triangles; Mitsuba refuses them."),
+    ("ply", "Opacity, the fourth number of a colour attribute, is left out; Mitsuba can show no such attribute."),
     (
         "hdrfilm",
         "A crop's pixels have the very bits that they have in the whole picture, so that pictures can be put together from \
@@ -39,6 +40,7 @@ const DIFFERENCES: &[(&str, &str)] = &[
         "A mirror blended with something else keeps its light. Mitsuba 3.9.1 loses up to a fifth of it: under a sky of radiance \
          1, 70 % mirror and 30 % black give 0.62.",
     ),
+    ("mesh_attribute", "A mesh that does not have the attribute is an error; Mitsuba shows it black."),
     ("gaussian", "Is exact; Mitsuba evaluates a fitted polynomial, wrong by up to 0.04 %."),
     ("hdrfilm", "The image is always EXR in 32 bits, with the variance of every pixel; format options have no effect."),
     ("independent", "Numbers are Owen-scrambled Sobol' points whatever the sampler is called."),

@@ -52,6 +52,8 @@ fn scene() -> Scene {
         }],
         bsdfs: vec![Bsdf::Diffuse { reflectance: TextureId(0) }],
         textures: vec![Texture::Constant(glam::Vec3::new(0.8, 0.5, 0.2))],
+        groups: Vec::new(),
+        instances: Vec::new(),
         emitters: vec![Emitter::Constant { radiance: glam::Vec3::splat(0.7) }],
         meshes: vec![Arc::new(mesh)],
         images: Vec::new(),

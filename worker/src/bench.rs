@@ -217,6 +217,8 @@ mod tests {
             shapes: Vec::new(),
             bsdfs: Vec::new(),
             textures: Vec::new(),
+            groups: Vec::new(),
+            instances: Vec::new(),
             emitters: vec![Emitter::Constant { radiance: glam::Vec3::ONE }],
             meshes: Vec::new(),
             images: Vec::new(),

@@ -1,20 +1,22 @@
 //! All surfaces of a scene, laid out for tracing: what a ray hits, and the surface point there.
 
+mod instances;
 mod tangents;
 
 use crate::bvh::simd::Lanes;
 use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit, triangle_bounds};
 use crate::frame::Frame;
-use crate::scene::{Geometry as Shape, Scene};
+use crate::scene::{Geometry as Form, Scene, Shape};
 use crate::shape::{Analytic, AnalyticBvh};
 use crate::surface::{Surface, gamma};
 use glam::{Vec2, Vec3};
+use instances::Instances;
 
 /// Stands for "none" in the tables below.
 const NONE: u32 = u32::MAX;
 
 /// Triangles of all meshes in one list, analytic shapes in another. A *primitive* is a triangle or an analytic shape;
-/// analytic ones are numbered after the triangles.
+/// analytic ones are numbered after the triangles. Groups that are placed many times are such geometries of their own.
 pub struct Geometry {
     positions: Vec<Vec3>,
     normals: Vec<Vec3>,
@@ -26,8 +28,33 @@ pub struct Geometry {
     /// The shape of each analytic surface.
     analytic_shapes: Vec<u32>,
     shapes: Vec<ShapeTable>,
+    /// The number of its first shape in the whole scene.
+    first_shape: u32,
     bvh: TriangleBvh,
     analytic_bvh: AnalyticBvh,
+    instances: Option<Box<Instances>>,
+}
+
+/// What a geometry takes in memory, in bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Memory {
+    /// Positions, normals, texture coordinates, indices, analytic shapes.
+    pub surfaces: usize,
+    /// The hierarchies over them, with their own copies of triangles.
+    pub hierarchies: usize,
+    /// The places of instances and the hierarchy over them; what they place counts above, once.
+    pub instances: usize,
+}
+
+impl Memory {
+    /// Both together.
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            surfaces: self.surfaces + other.surfaces,
+            hierarchies: self.hierarchies + other.hierarchies,
+            instances: self.instances + other.instances,
+        }
+    }
 }
 
 /// Where a shape's data lies in the common lists.
@@ -56,6 +83,10 @@ pub enum Hit {
         /// Index in the list of analytic shapes.
         index: u32,
     },
+    /// A triangle of an instance's group.
+    InstancedTriangle(u32, TriangleHit),
+    /// An analytic shape of an instance's group, its t and index.
+    InstancedAnalytic(u32, f32, u32),
 }
 
 impl Hit {
@@ -63,8 +94,21 @@ impl Hit {
     #[inline(always)]
     pub fn t(&self) -> f32 {
         match self {
-            Hit::Triangle(hit) => hit.t,
-            Hit::Analytic { t, .. } => *t,
+            Hit::Triangle(hit) | Hit::InstancedTriangle(_, hit) => hit.t,
+            Hit::Analytic { t, .. } | Hit::InstancedAnalytic(_, t, _) => *t,
+        }
+    }
+
+    /// A hit on a group as one on an instance of it, at this t.
+    #[inline]
+    fn in_instance(self, t: f32, instance: u32) -> Self {
+        match self {
+            Hit::Triangle(hit) | Hit::InstancedTriangle(_, hit) => {
+                Hit::InstancedTriangle(instance, TriangleHit { t, ..hit })
+            }
+            Hit::Analytic { index, .. } | Hit::InstancedAnalytic(_, _, index) => {
+                Hit::InstancedAnalytic(instance, t, index)
+            }
         }
     }
 }
@@ -73,8 +117,14 @@ impl Geometry {
     /// Lays out the shapes of a scene and builds their hierarchies. `first_lights` has, for each shape that emits, the light
     /// of its first primitive.
     pub fn new(scene: &Scene, first_lights: &[Option<u32>]) -> Self {
+        let instances = (!scene.instances.is_empty()).then(|| Box::new(Instances::new(scene)));
+        Self { instances, ..Self::level(scene, &scene.shapes, first_lights, 0) }
+    }
+
+    /// Some of the scene's shapes, the first of which has this number.
+    fn level(scene: &Scene, shapes: &[Shape], first_lights: &[Option<u32>], first_shape: u32) -> Self {
         let mut lists = Lists::default();
-        for (shape, light) in scene.shapes.iter().zip(first_lights) {
+        for (shape, light) in shapes.iter().zip(first_lights) {
             lists.push(scene, &shape.geometry, light.unwrap_or(NONE));
         }
         let triangle_count = lists.triangles.len() as u32;
@@ -94,9 +144,29 @@ impl Geometry {
             analytic,
             analytic_shapes,
             shapes,
+            first_shape,
             bvh,
             analytic_bvh,
+            instances: None,
         }
+    }
+
+    /// What it takes in memory.
+    pub fn memory(&self) -> Memory {
+        let vectors = size_of_val(&*self.positions) + size_of_val(&*self.normals) + size_of_val(&*self.uvs);
+        let indices = size_of_val(&*self.triangles) + size_of_val(&*self.triangle_shapes);
+        let analytic = size_of_val(&*self.analytic) + size_of_val(&*self.analytic_shapes);
+        let own = Memory {
+            surfaces: vectors + indices + analytic + size_of_val(&*self.shapes),
+            hierarchies: self.bvh.stats().bytes + self.analytic_bvh.bytes(),
+            instances: 0,
+        };
+        self.instances.as_ref().map_or(own, |instances| own.plus(instances.memory()))
+    }
+
+    /// How many instances of groups there are.
+    pub fn instances(&self) -> usize {
+        self.instances.as_ref().map_or(0, |instances| instances.len())
     }
 
     /// The hierarchy over the triangles, in numbers.
@@ -107,6 +177,16 @@ impl Geometry {
     /// The nearest hit; of equally near ones the first primitive.
     #[inline(always)]
     pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<Hit> {
+        let hit = self.closest_of_own(lanes, ray);
+        let Some(instances) = &self.instances else { return hit };
+        let t_max = hit.map_or(ray.t_max, |hit| hit.t());
+        let instanced = instances.closest(lanes, &Ray { t_max, ..*ray });
+        instanced.filter(|other| hit.is_none_or(|hit| other.t() < hit.t())).or(hit)
+    }
+
+    /// The nearest hit that is in no instance.
+    #[inline(always)]
+    fn closest_of_own<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<Hit> {
         let triangle = self.bvh.closest(lanes, ray);
         if self.analytic.is_empty() {
             return triangle.map(Hit::Triangle);
@@ -123,6 +203,13 @@ impl Geometry {
     /// Whether anything lies on the ray.
     #[inline(always)]
     pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
+        self.occluded_by_own(lanes, ray)
+            || self.instances.as_ref().is_some_and(|instances| instances.occluded(lanes, ray))
+    }
+
+    /// Whether anything that is in no instance lies on the ray.
+    #[inline(always)]
+    fn occluded_by_own<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
         self.bvh.occluded(lanes, ray)
             || (!self.analytic.is_empty() && self.analytic_bvh.occluded(lanes, &self.analytic, ray))
     }
@@ -133,6 +220,15 @@ impl Geometry {
         match hit {
             Hit::Triangle(TriangleHit { u, v, triangle, .. }) => self.triangle_surface(triangle, Vec2::new(u, v)),
             Hit::Analytic { t, index } => self.analytic_surface(index, ray.origin + ray.direction * t),
+            Hit::InstancedTriangle(i, hit) => self.instanced(i, ray, Hit::Triangle(hit)),
+            Hit::InstancedAnalytic(i, t, index) => self.instanced(i, ray, Hit::Analytic { t, index }),
+        }
+    }
+
+    fn instanced(&self, instance: u32, ray: &Ray, hit: Hit) -> Surface {
+        match &self.instances {
+            Some(instances) => instances.surface(ray, instance, hit),
+            None => unreachable!("a hit on an instance comes from a geometry with instances"),
         }
     }
 
@@ -167,7 +263,9 @@ impl Geometry {
             normal,
             frame: Frame::around(shading),
             uv,
-            shape,
+            barycentric: b,
+            shape: self.first_shape + shape,
+            instance: None,
             primitive: triangle,
             light: table.light_of(triangle),
         }
@@ -190,7 +288,9 @@ impl Geometry {
             normal: point.normal,
             frame: Frame::around(point.normal),
             uv: point.uv,
-            shape,
+            barycentric: Vec2::ZERO,
+            shape: self.first_shape + shape,
+            instance: None,
             primitive: table.first_primitive,
             light: table.light_of(table.first_primitive),
         }
@@ -242,6 +342,7 @@ impl Geometry {
                 let table = &self.shapes[self.analytic_shapes[*index as usize] as usize];
                 table.light_of(table.first_primitive)
             }
+            Hit::InstancedTriangle(..) | Hit::InstancedAnalytic(..) => None,
         }
     }
 
@@ -280,12 +381,16 @@ impl Geometry {
 
     /// Centre and radius of a ball around everything; radius 0 for an empty scene.
     pub fn bounding_ball(&self) -> (Vec3, f32) {
-        let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        let points = self.positions.iter().map(|&p| (p, p));
-        for (a, b) in points.chain(self.analytic.iter().map(Analytic::bounds)) {
-            (low, high) = (low.min(a), high.max(b));
-        }
-        if low.x > high.x { (Vec3::ZERO, 0.0) } else { (0.5 * (low + high), 0.5 * (high - low).length()) }
+        let Aabb { min, max } = self.bounds_of_all();
+        if min.x > max.x { (Vec3::ZERO, 0.0) } else { (0.5 * (min + max), 0.5 * (max - min).length()) }
+    }
+
+    /// The box around everything.
+    fn bounds_of_all(&self) -> Aabb {
+        let of_instances = self.instances.as_ref().map_or(Aabb::EMPTY, |instances| instances.bounds());
+        let all = self.positions.iter().fold(of_instances, |all, &p| all.with(p));
+        let analytic = self.analytic.iter().map(|shape| Aabb { min: shape.bounds().0, max: shape.bounds().1 });
+        analytic.fold(all, Aabb::union)
     }
 }
 
@@ -310,7 +415,7 @@ struct Lists {
 }
 
 impl Lists {
-    fn push(&mut self, scene: &Scene, geometry: &Shape, first_light: u32) {
+    fn push(&mut self, scene: &Scene, geometry: &Form, first_light: u32) {
         let shape = self.shapes.len() as u32;
         let mut table = ShapeTable {
             first_primitive: self.triangles.len() as u32,
@@ -320,7 +425,7 @@ impl Lists {
             first_uv: NONE,
             first_light,
         };
-        if let Shape::Mesh(id) = geometry {
+        if let Form::Mesh(id) = geometry {
             let mesh = &scene.meshes[id.0 as usize];
             let first = self.positions.len() as u32;
             table.first_vertex = first;

@@ -11,6 +11,9 @@ impl Geometry {
     /// triangle from its texture coordinates (its edges where it has none), on an analytic shape from its formula. They are
     /// linearly independent; where texture coordinates do not tell, they are some tangents of unit length.
     pub fn tangents(&self, surface: &Surface) -> (Vec3, Vec3) {
+        if let (Some(instance), Some(instances)) = (surface.instance, &self.instances) {
+            return instances.tangents(instance, surface);
+        }
         match self.analytic_index(surface.primitive) {
             Some(index) => self.analytic[index as usize].tangents(surface.position),
             None => self.triangle_tangents(surface),
@@ -18,7 +21,7 @@ impl Geometry {
     }
 
     fn triangle_tangents(&self, surface: &Surface) -> (Vec3, Vec3) {
-        let table = &self.shapes[surface.shape as usize];
+        let table = &self.shapes[(surface.shape - self.first_shape) as usize];
         let vertices = self.triangles[surface.primitive as usize];
         let [p0, p1, p2] = vertices.map(|i| self.positions[i as usize]);
         let (e1, e2) = (p1 - p0, p2 - p0);

@@ -150,7 +150,7 @@ impl Lights {
     pub fn emitted(&self, textures: &Textures, point: &Surface, light: u32, wo: Vec3) -> Vec3 {
         match self.lights[light as usize] {
             Light::Triangle { radiance, .. } | Light::Analytic { radiance, .. } if point.frame.n.dot(wo) > 0.0 => {
-                textures.at(radiance, point.uv)
+                textures.at(radiance, point)
             }
             _ => Vec3::ZERO,
         }
@@ -188,7 +188,7 @@ fn from_surface(
     if !(pdf > 0.0 && pdf < f32::INFINITY && point.frame.n.dot(wi) < 0.0) {
         return None;
     }
-    let weight = textures.at(radiance, point.uv) / pdf;
+    let weight = textures.at(radiance, point) / pdf;
     Some(LightSample { wi, weight, pdf, shadow_ray: surface.ray_to(point) })
 }
 

@@ -67,7 +67,7 @@ impl Spot {
                 }
                 let falloff = if angle <= beam_width { 1.0 } else { (cutoff - angle) / (cutoff - beam_width) };
                 let uv = Vec2::splat(0.5) + plane * (0.5 / libm::tanf(cutoff));
-                intensity * falloff * texture.map_or(Vec3::ONE, |id| textures.at(id, uv))
+                intensity * falloff * texture.map_or(Vec3::ONE, |id| textures.at_uv(id, uv))
             }
             Beam::Image { irradiance, scale, extent } => {
                 let across = plane / extent;
@@ -77,7 +77,7 @@ impl Spot {
                 // The plane z = 1 shall get π times the image: E = I cos³θ there.
                 let cos2 = 1.0 / (1.0 + plane.length_squared());
                 let uv = Vec2::splat(0.5) - across * 0.5;
-                textures.at(irradiance, uv) * (PI * scale / (cos2 * cos2.sqrt()))
+                textures.at_uv(irradiance, uv) * (PI * scale / (cos2 * cos2.sqrt()))
             }
         }
     }

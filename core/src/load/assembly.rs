@@ -3,17 +3,20 @@
 //! Formats fill an [`Assembly`] in f64 world space; [`Assembly::finish`] reads meshes and images in parallel, moves the scene
 //! so that its centre is the origin, rounds to f32 and validates.
 
-use super::error::{LoadError, Place, Result};
+use super::error::{LoadError, Place, Result, did_you_mean};
 use super::folder::{Folder, IMAGE_BYTES_MAX, MESH_BYTES_MAX};
 use super::mesh::{self, FileMesh, Placement, obj, ply, serialized};
-use super::placed::{PlacedEmitter, PlacedGeometry, PlacedSensor, PlacedShape, moved};
+use super::placed::{PlacedEmitter, PlacedGeometry, PlacedInstance, PlacedSensor, PlacedShape, mapped_box, moved};
 use super::{Loaded, Note, image};
 use crate::film::scale_exponent;
-use crate::scene::{Bsdf, BsdfId, Geometry, Image, ImageId, Mesh, MeshId, Scene, Shape, Texture, TextureId};
+use crate::scene::{
+    AttributeValues, Bsdf, BsdfId, Geometry, Group, GroupId, Image, ImageId, Instance, Mesh, MeshId, Scene, Shape,
+    Texture, TextureId,
+};
 use crate::settings::Settings;
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -22,6 +25,9 @@ pub(crate) struct Assembly {
     pub folder: Folder,
     pub notes: Vec<Note>,
     pub shapes: Vec<PlacedShape>,
+    /// Shapes of groups, each in its group's own space.
+    pub groups: Vec<Vec<PlacedShape>>,
+    pub instances: Vec<PlacedInstance>,
     pub emitters: Vec<PlacedEmitter>,
     textures: Vec<Texture>,
     bsdfs: Vec<Bsdf>,
@@ -29,6 +35,8 @@ pub(crate) struct Assembly {
     meshes: Vec<PlacedMesh>,
     mesh_files: Vec<MeshFile>,
     mesh_file_ids: HashMap<(PathBuf, MeshFormat), usize>,
+    /// What textures show of meshes.
+    pub shown_attributes: Vec<ShownAttribute>,
     images: Vec<ImageFile>,
     image_ids: HashMap<(PathBuf, image::Use), ImageId>,
 }
@@ -39,6 +47,15 @@ pub(crate) enum MeshSource {
     /// What [`Assembly::mesh_file`] gave.
     File(usize),
     Ready(Arc<FileMesh>),
+}
+
+/// An attribute of meshes that a texture shows.
+pub(crate) struct ShownAttribute {
+    pub name: String,
+    /// As one number, not as a colour.
+    pub is_number: bool,
+    /// Where the texture names it.
+    pub place: Place,
 }
 
 struct PlacedMesh {
@@ -76,6 +93,8 @@ impl Assembly {
             folder,
             notes: Vec::new(),
             shapes: Vec::new(),
+            groups: Vec::new(),
+            instances: Vec::new(),
             emitters: Vec::new(),
             textures: Vec::new(),
             bsdfs: Vec::new(),
@@ -83,6 +102,7 @@ impl Assembly {
             meshes: Vec::new(),
             mesh_files: Vec::new(),
             mesh_file_ids: HashMap::new(),
+            shown_attributes: Vec::new(),
             images: Vec::new(),
             image_ids: HashMap::new(),
         }
@@ -155,16 +175,16 @@ impl Assembly {
     ) -> Result<Loaded> {
         let (files, images) = rayon::join(|| self.read_meshes(), || self.read_images());
         let (files, images) = (files?, images?);
+        self.check_attributes(&files)?;
         let file_of = |source: &MeshSource| match source {
             MeshSource::File(i) => files[*i].clone(),
             MeshSource::Ready(mesh) => mesh.clone(),
         };
-        let bounds = self.bounds(&file_of);
-        let origin = bounds.map_or(DVec3::ZERO, |(min, max)| min + (max - min) * 0.5);
-        let placed: Vec<_> = self
-            .meshes
-            .par_iter()
-            .map(|placed| mesh::to_scene(&file_of(&placed.source), &placed.placement, origin))
+        let space = self.space(&file_of);
+        let origin = space.origin;
+        let placed: Vec<_> = (&self.meshes, &space.of_meshes)
+            .into_par_iter()
+            .map(|(placed, origin)| mesh::to_scene(&file_of(&placed.source), &placed.placement, *origin))
             .collect();
         let mut meshes = Vec::with_capacity(placed.len());
         for (result, placed) in placed.into_iter().zip(&self.meshes) {
@@ -177,7 +197,7 @@ impl Assembly {
             }
             meshes.push(Arc::new(mesh));
         }
-        let sensor = sensor(bounds);
+        let sensor = sensor(space.bounds);
         let aspect = |id: TextureId| match self.textures.get(id.0 as usize) {
             Some(Texture::Bitmap { image, .. }) => {
                 let image = &images[image.0 as usize];
@@ -186,14 +206,27 @@ impl Assembly {
             _ => 1.0,
         };
         let emitters = self.emitters.iter().map(|emitter| emitter.to_scene(origin, aspect)).collect();
-        let (shapes, meshes) = self.shapes_and_meshes(meshes, origin);
+        let mut kept = Kept { ids: vec![None; meshes.len()], meshes: Vec::new() };
+        let shapes = std::mem::take(&mut self.shapes);
+        let shapes = self.to_scene(shapes, &meshes, origin, &mut kept);
+        let groups = std::mem::take(&mut self.groups).into_iter().zip(&space.of_groups);
+        let groups = groups
+            .map(|(shapes, origin)| Group { shapes: self.to_scene(shapes, &meshes, *origin, &mut kept) })
+            .collect();
+        let instance = |PlacedInstance { group, to_world }: &PlacedInstance| {
+            let to_world = *to_world * DAffine3::from_translation(space.of_groups[*group]);
+            Instance { group: GroupId(index(*group)), to_world: moved(&to_world, origin) }
+        };
+        let instances = self.instances.iter().map(instance).collect();
         let scene = Scene {
             sensor: sensor.to_scene(origin),
             shapes,
+            groups,
+            instances,
             bsdfs: self.bsdfs,
             textures: self.textures,
             emitters,
-            meshes,
+            meshes: kept.meshes,
             images: images.into_iter().map(Arc::new).collect(),
             origin: origin.to_array(),
         };
@@ -204,11 +237,12 @@ impl Assembly {
     }
 
     fn read_meshes(&self) -> Result<Vec<Arc<FileMesh>>> {
+        let wanted: Vec<String> = self.shown_attributes.iter().map(|shown| shown.name.clone()).collect();
         let read = |file: &MeshFile| {
             let bytes = self.read(&file.path, MESH_BYTES_MAX, &file.place)?;
             let name = self.folder.name_of(&file.path);
             let mesh = match file.format {
-                MeshFormat::Ply => ply::parse(&name, &bytes)?,
+                MeshFormat::Ply => ply::parse(&name, &bytes, &wanted)?,
                 MeshFormat::Serialized { shape_index } => {
                     let fail = |message: String| LoadError::at(file.place.clone(), format!("'{name}' {message}"));
                     serialized::parse(&bytes, shape_index).map_err(fail)?
@@ -222,6 +256,27 @@ impl Assembly {
             Ok(Arc::new(mesh))
         };
         first_error(self.mesh_files.par_iter().map(read).collect())
+    }
+
+    /// Whether some mesh has each attribute that a texture shows, as a number where it shows a number.
+    fn check_attributes(&self, files: &[Arc<FileMesh>]) -> Result<()> {
+        for ShownAttribute { name, is_number, place } in &self.shown_attributes {
+            let known = || files.iter().flat_map(|file| &file.attribute_names).map(String::as_str);
+            if !known().any(|other| other == name) {
+                let hint = did_you_mean(name, known());
+                let list: Vec<&str> = known().collect::<BTreeSet<_>>().into_iter().collect();
+                let list =
+                    if list.is_empty() { "there is none".into() } else { format!("there are {}", list.join(", ")) };
+                let message = format!("no mesh of this scene has an attribute '{name}'{hint}; {list}");
+                return Err(LoadError::at(place.clone(), message));
+            }
+            let mut attributes = files.iter().flat_map(|file| &file.attributes).filter(|a| a.name == *name);
+            if *is_number && attributes.any(|a| matches!(a.values, AttributeValues::Colours(_))) {
+                let message = format!("the attribute '{name}' has three numbers; here one is wanted, so name another");
+                return Err(LoadError::at(place.clone(), message));
+            }
+        }
+        Ok(())
     }
 
     fn read_images(&self) -> Result<Vec<Image>> {
@@ -246,33 +301,61 @@ impl Assembly {
         }
     }
 
-    /// The box around all surfaces in world space.
-    fn bounds(&self, file_of: &(impl Fn(&MeshSource) -> Arc<FileMesh> + Sync)) -> Option<(DVec3, DVec3)> {
+    /// Where everything lies: bounds in world space, and the origins that coordinates are taken from.
+    fn space(&self, file_of: &(impl Fn(&MeshSource) -> Arc<FileMesh> + Sync)) -> Space {
         let of_meshes: Vec<_> = self
             .meshes
             .par_iter()
             .map(|placed| mesh::bounds(&file_of(&placed.source), &placed.placement.to_world))
             .collect();
-        let of_shapes = self.shapes.iter().map(|shape| shape.geometry.bounds());
         let join = |a: (DVec3, DVec3), b: (DVec3, DVec3)| (a.0.min(b.0), a.1.max(b.1));
-        of_meshes.into_iter().chain(of_shapes).flatten().reduce(join)
+        let of_shape = |shape: &PlacedShape| match shape.geometry {
+            PlacedGeometry::Mesh(i) => of_meshes[i],
+            ref analytic => analytic.bounds(),
+        };
+        let of_shapes = |shapes: &[PlacedShape]| shapes.iter().filter_map(of_shape).reduce(join);
+        let centre = |bounds: Option<(DVec3, DVec3)>| bounds.map_or(DVec3::ZERO, |(min, max)| min + (max - min) * 0.5);
+        let of_groups: Vec<_> = self.groups.iter().map(|shapes| of_shapes(shapes)).collect();
+        let of_instances = self
+            .instances
+            .iter()
+            .filter_map(|instance| of_groups[instance.group].map(|bounds| mapped_box(bounds, &instance.to_world)));
+        let bounds = of_shapes(&self.shapes).into_iter().chain(of_instances).reduce(join);
+        let mut origins = vec![centre(bounds); self.meshes.len()];
+        for (shapes, bounds) in self.groups.iter().zip(&of_groups) {
+            for shape in shapes {
+                if let PlacedGeometry::Mesh(i) = shape.geometry {
+                    origins[i] = centre(*bounds);
+                }
+            }
+        }
+        Space {
+            bounds,
+            origin: centre(bounds),
+            of_groups: of_groups.into_iter().map(centre).collect(),
+            of_meshes: origins,
+        }
     }
 
-    /// The shapes and the meshes that have triangles left; shapes without any are left out.
-    fn shapes_and_meshes(&mut self, meshes: Vec<Arc<Mesh>>, origin: DVec3) -> (Vec<Shape>, Vec<Arc<Mesh>>) {
-        let mut kept = Vec::new();
-        let mut ids = vec![None; meshes.len()];
-        let mut shapes = Vec::new();
-        for shape in std::mem::take(&mut self.shapes) {
+    /// Shapes with an origin; those without any triangle are left out, and the meshes of the others are kept.
+    fn to_scene(
+        &mut self,
+        placed: Vec<PlacedShape>,
+        meshes: &[Arc<Mesh>],
+        origin: DVec3,
+        kept: &mut Kept,
+    ) -> Vec<Shape> {
+        let mut shapes = Vec::with_capacity(placed.len());
+        for shape in placed {
             let geometry = match &shape.geometry {
                 PlacedGeometry::Mesh(i) if meshes[*i].triangles.is_empty() => {
                     let text = format!("shape '{}' has no triangle with an area and is left out", shape.name);
                     self.notes.push(Note { place: None, text });
                     continue;
                 }
-                PlacedGeometry::Mesh(i) => Geometry::Mesh(*ids[*i].get_or_insert_with(|| {
-                    kept.push(meshes[*i].clone());
-                    MeshId(index(kept.len() - 1))
+                PlacedGeometry::Mesh(i) => Geometry::Mesh(*kept.ids[*i].get_or_insert_with(|| {
+                    kept.meshes.push(meshes[*i].clone());
+                    MeshId(index(kept.meshes.len() - 1))
                 })),
                 PlacedGeometry::Sphere { to_world, flip_normals } => {
                     Geometry::Sphere { to_world: moved(to_world, origin), flip_normals: *flip_normals }
@@ -280,11 +363,32 @@ impl Assembly {
                 PlacedGeometry::Disk { to_world, flip_normals } => {
                     Geometry::Disk { to_world: moved(to_world, origin), flip_normals: *flip_normals }
                 }
+                PlacedGeometry::Cylinder { to_world, flip_normals } => {
+                    Geometry::Cylinder { to_world: moved(to_world, origin), flip_normals: *flip_normals }
+                }
             };
             shapes.push(Shape { name: shape.name, geometry, bsdf: shape.bsdf, radiance: shape.radiance });
         }
-        (shapes, kept)
+        shapes
     }
+}
+
+/// Where a scene lies.
+struct Space {
+    /// Around all surfaces, in world space.
+    bounds: Option<(DVec3, DVec3)>,
+    /// The zero of the scene's coordinates, in world space.
+    origin: DVec3,
+    /// The zero of each group's coordinates, in the group's space.
+    of_groups: Vec<DVec3>,
+    /// The zero of the coordinates that each mesh is in.
+    of_meshes: Vec<DVec3>,
+}
+
+/// The meshes that shapes are made of, and their new indices.
+struct Kept {
+    ids: Vec<Option<MeshId>>,
+    meshes: Vec<Arc<Mesh>>,
 }
 
 /// Lists of the scene are shorter than 2^32: XML and OBJ files that could name more are refused for their size.

@@ -24,22 +24,45 @@ pub(crate) enum PlacedGeometry {
         to_world: DAffine3,
         flip_normals: bool,
     },
+    Cylinder {
+        to_world: DAffine3,
+        flip_normals: bool,
+    },
 }
 
 impl PlacedGeometry {
     /// The box around an analytic shape; meshes have their own.
     pub fn bounds(&self) -> Option<(DVec3, DVec3)> {
-        // Along each axis the ellipsoid reaches as far as the matrix' row is long, the disk as far as its first two columns.
-        let (to_world, z) = match self {
+        // Along each axis the ellipsoid reaches as far as the matrix' row is long, the disk as far as its first two columns, and
+        // the cylinder is a disk moved along the third.
+        let (to_world, z, along) = match self {
             PlacedGeometry::Mesh(_) => return None,
-            PlacedGeometry::Sphere { to_world, .. } => (to_world, to_world.matrix3.z_axis),
-            PlacedGeometry::Disk { to_world, .. } => (to_world, DVec3::ZERO),
+            PlacedGeometry::Sphere { to_world, .. } => (to_world, to_world.matrix3.z_axis, DVec3::ZERO),
+            PlacedGeometry::Disk { to_world, .. } => (to_world, DVec3::ZERO, DVec3::ZERO),
+            PlacedGeometry::Cylinder { to_world, .. } => (to_world, DVec3::ZERO, to_world.matrix3.z_axis),
         };
         let (x, y) = (to_world.matrix3.x_axis, to_world.matrix3.y_axis);
         let squares = x * x + y * y + z * z;
         let reach = DVec3::new(squares.x.sqrt(), squares.y.sqrt(), squares.z.sqrt());
-        Some((to_world.translation - reach, to_world.translation + reach))
+        let centre = to_world.translation;
+        Some((centre.min(centre + along) - reach, centre.max(centre + along) + reach))
     }
+}
+
+/// An [`crate::scene::Instance`] in world space.
+pub(crate) struct PlacedInstance {
+    /// Index into [`super::assembly::Assembly::groups`].
+    pub group: usize,
+    pub to_world: DAffine3,
+}
+
+/// The smallest box around a box that is mapped.
+pub(crate) fn mapped_box((min, max): (DVec3, DVec3), to_world: &DAffine3) -> (DVec3, DVec3) {
+    let m = to_world.matrix3;
+    let half = 0.5 * max - 0.5 * min;
+    let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
+    let centre = to_world.transform_point3(0.5 * min + 0.5 * max);
+    (centre - reach, centre + reach)
 }
 
 /// An [`Emitter`] in world space.

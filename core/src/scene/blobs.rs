@@ -3,7 +3,7 @@
 //! The manifest's own digest is the scene's. A receiver fetches the parts it lacks, in any order. Numbers are little endian
 //! and every value has one encoding, so equal scenes have equal digests on every machine.
 
-use super::{Image, Mesh, Scene, SceneError, Texels};
+use super::{Attribute, AttributeValues, Image, Mesh, Scene, SceneError, Texels};
 use glam::{Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -127,26 +127,67 @@ fn decode_manifest(bytes: &[u8]) -> Result<Manifest, BlobError> {
 impl Mesh {
     fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        for len in [self.positions.len(), self.normals.len(), self.uvs.len(), self.triangles.len()] {
+        for len in
+            [self.positions.len(), self.normals.len(), self.uvs.len(), self.triangles.len(), self.attributes.len()]
+        {
             out.extend((len as u64).to_le_bytes());
         }
         let vectors = self.positions.iter().chain(&self.normals).flat_map(|v| v.to_array());
         put_floats(&mut out, vectors.chain(self.uvs.iter().flat_map(|v| v.to_array())));
         self.triangles.iter().flatten().for_each(|i| out.extend(i.to_le_bytes()));
+        self.attributes.iter().for_each(|attribute| attribute.encode(&mut out));
         out
     }
 
     fn decode(bytes: &[u8]) -> Option<Self> {
         let mut reader = Reader(bytes);
-        let [positions, normals, uvs, triangles] =
-            [reader.count(12)?, reader.count(12)?, reader.count(8)?, reader.count(12)?];
+        let [positions, normals, uvs, triangles, attributes] =
+            [reader.count(12)?, reader.count(12)?, reader.count(8)?, reader.count(12)?, reader.count(1)?];
         let mesh = Mesh {
             positions: reader.items(positions, |[x, y, z]| Vec3::from_array([x, y, z].map(f32::from_bits)))?,
             normals: reader.items(normals, |[x, y, z]| Vec3::from_array([x, y, z].map(f32::from_bits)))?,
             uvs: reader.items(uvs, |[u, v]| Vec2::from_array([u, v].map(f32::from_bits)))?,
             triangles: reader.items(triangles, |indices| indices)?,
+            attributes: (0..attributes).map(|_| Attribute::decode(&mut reader)).collect::<Option<_>>()?,
         };
         reader.0.is_empty().then_some(mesh)
+    }
+}
+
+impl Attribute {
+    /// The name's length and the name, 1 or 3 for the numbers a value has, how many values, the numbers.
+    fn encode(&self, out: &mut Vec<u8>) {
+        out.extend((self.name.len() as u64).to_le_bytes());
+        out.extend(self.name.as_bytes());
+        let channels: u32 = match &self.values {
+            AttributeValues::Scalars(_) => 1,
+            AttributeValues::Colours(_) => 3,
+        };
+        out.extend(channels.to_le_bytes());
+        out.extend((self.values.len() as u64).to_le_bytes());
+        match &self.values {
+            AttributeValues::Scalars(values) => put_floats(out, values.iter().copied()),
+            AttributeValues::Colours(values) => put_floats(out, values.iter().flat_map(|v| v.to_array())),
+        }
+    }
+
+    fn decode(reader: &mut Reader) -> Option<Self> {
+        let len = reader.count(1)?;
+        let name = String::from_utf8(reader.bytes(len)?.to_vec()).ok()?;
+        let channels = reader.word()?;
+        let values = match channels {
+            1 => {
+                let count = reader.count(4)?;
+                AttributeValues::Scalars(reader.items(count, |[x]| f32::from_bits(x))?)
+            }
+            3 => {
+                let count = reader.count(12)?;
+                let colour = |[x, y, z]: [u32; 3]| Vec3::from_array([x, y, z].map(f32::from_bits));
+                AttributeValues::Colours(reader.items(count, colour)?)
+            }
+            _ => return None,
+        };
+        Some(Attribute { name, values })
     }
 }
 
@@ -200,7 +241,13 @@ fn put_floats(out: &mut Vec<u8>, values: impl Iterator<Item = f32>) {
 /// Reads little-endian words; `None` where the bytes end early.
 struct Reader<'a>(&'a [u8]);
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
+    fn bytes(&mut self, len: usize) -> Option<&'a [u8]> {
+        let (bytes, rest) = self.0.split_at_checked(len)?;
+        self.0 = rest;
+        Some(bytes)
+    }
+
     fn word(&mut self) -> Option<u32> {
         let (word, rest) = self.0.split_first_chunk::<4>()?;
         self.0 = rest;
@@ -217,8 +264,7 @@ impl Reader<'_> {
 
     fn items<T, const N: usize>(&mut self, count: usize, make: impl Fn([u32; N]) -> T) -> Option<Vec<T>> {
         let len = count.checked_mul(4 * N)?;
-        let (bytes, rest) = self.0.split_at_checked(len)?;
-        self.0 = rest;
+        let bytes = self.bytes(len)?;
         let word = |chunk: &[u8], i: usize| {
             let at = 4 * i;
             u32::from_le_bytes([chunk[at], chunk[at + 1], chunk[at + 2], chunk[at + 3]])
@@ -239,6 +285,10 @@ mod tests {
                 positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
                 uvs: vec![Vec2::ZERO, Vec2::X, Vec2::Y],
                 triangles: vec![[0, 1, 2]],
+                attributes: vec![
+                    Attribute { name: "vertex_a".into(), values: AttributeValues::Scalars(vec![1.0, -0.0, 3.0]) },
+                    Attribute { name: "face_b".into(), values: AttributeValues::Colours(vec![Vec3::X]) },
+                ],
                 ..Mesh::default()
             })],
             images: vec![

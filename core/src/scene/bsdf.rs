@@ -221,3 +221,75 @@ pub enum Bsdf {
         nested: BsdfId,
     },
 }
+
+impl Bsdf {
+    /// The BSDFs that stand in it.
+    pub fn nested(&self) -> Vec<BsdfId> {
+        match *self {
+            Bsdf::TwoSided { front, back } => vec![front, back],
+            Bsdf::BlendBsdf { nested, .. } => nested.to_vec(),
+            Bsdf::Mask { nested, .. } | Bsdf::BumpMap { nested, .. } | Bsdf::NormalMap { nested, .. } => vec![nested],
+            _ => Vec::new(),
+        }
+    }
+
+    /// The textures that it reads itself.
+    pub fn textures(&self) -> Vec<TextureId> {
+        match *self {
+            Bsdf::Null | Bsdf::TwoSided { .. } => Vec::new(),
+            Bsdf::Diffuse { reflectance: map }
+            | Bsdf::Mask { opacity: map, .. }
+            | Bsdf::BlendBsdf { weight: map, .. }
+            | Bsdf::BumpMap { texture: map, .. }
+            | Bsdf::NormalMap { normalmap: map, .. } => vec![map],
+            Bsdf::Conductor { eta, k, specular_reflectance } => vec![eta, k, specular_reflectance],
+            Bsdf::RoughConductor { alpha_u, alpha_v, eta, k, specular_reflectance, .. } => {
+                vec![alpha_u, alpha_v, eta, k, specular_reflectance]
+            }
+            Bsdf::Dielectric { specular_reflectance, specular_transmittance, .. }
+            | Bsdf::ThinDielectric { specular_reflectance, specular_transmittance, .. } => {
+                vec![specular_reflectance, specular_transmittance]
+            }
+            Bsdf::RoughDielectric { alpha_u, alpha_v, specular_reflectance, specular_transmittance, .. } => {
+                vec![alpha_u, alpha_v, specular_reflectance, specular_transmittance]
+            }
+            Bsdf::Phong { diffuse_reflectance, specular_reflectance, .. }
+            | Bsdf::Plastic { diffuse_reflectance, specular_reflectance, .. }
+            | Bsdf::RoughPlastic { diffuse_reflectance, specular_reflectance, .. } => {
+                vec![diffuse_reflectance, specular_reflectance]
+            }
+            Bsdf::Principled {
+                base_color,
+                roughness,
+                anisotropic,
+                metallic,
+                spec_trans,
+                spec_tint,
+                sheen,
+                sheen_tint,
+                flatness,
+                clearcoat,
+                clearcoat_gloss,
+                ..
+            } => {
+                let base = [base_color, roughness, anisotropic, metallic, spec_trans, spec_tint];
+                [&base[..], &[sheen, sheen_tint, flatness, clearcoat, clearcoat_gloss]].concat()
+            }
+            Bsdf::PrincipledThin {
+                base_color,
+                roughness,
+                anisotropic,
+                spec_trans,
+                eta,
+                spec_tint,
+                sheen,
+                sheen_tint,
+                flatness,
+                diff_trans,
+            } => {
+                let base = [base_color, roughness, anisotropic, spec_trans, eta, spec_tint];
+                [&base[..], &[sheen, sheen_tint, flatness, diff_trans]].concat()
+            }
+        }
+    }
+}

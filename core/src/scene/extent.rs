@@ -1,6 +1,6 @@
 //! How large and how bright a scene is.
 
-use super::{Emitter, Geometry, Image, Scene, Texels, Texture, TextureId};
+use super::{Emitter, Geometry, Image, Instance, Scene, Shape, Texels, Texture, TextureId};
 use glam::Vec3;
 use std::f32::consts::PI;
 
@@ -31,7 +31,17 @@ impl Scene {
                 Some(join(around(to_world.translation, squares), around(to_world.translation + m.z_axis, squares)))
             }
         };
-        self.shapes.iter().filter_map(|shape| of_shape(&shape.geometry)).reduce(join)
+        let of_shapes = |shapes: &[Shape]| shapes.iter().filter_map(|shape| of_shape(&shape.geometry)).reduce(join);
+        let groups: Vec<_> = self.groups.iter().map(|group| of_shapes(&group.shapes)).collect();
+        let of_instance = |instance: &Instance| {
+            let (min, max) = groups[instance.group.0 as usize]?;
+            let matrix = instance.to_world.matrix3;
+            let half = 0.5 * max - 0.5 * min;
+            let reach = matrix.x_axis.abs() * half.x + matrix.y_axis.abs() * half.y + matrix.z_axis.abs() * half.z;
+            let centre = instance.to_world.transform_point3(0.5 * min + 0.5 * max);
+            Some((centre - reach, centre + reach))
+        };
+        of_shapes(&self.shapes).into_iter().chain(self.instances.iter().filter_map(of_instance)).reduce(join)
     }
 
     /// The largest radiance a light of this scene sends out, from which the film's scale follows
@@ -67,6 +77,11 @@ impl Scene {
                 if b > a { b } else { a }
             }
             Texture::Bitmap { image, scale, .. } => self.images[image.0 as usize].largest_value() * scale,
+            Texture::MeshAttribute { name, scale } => {
+                let attributes = self.meshes.iter().flat_map(|mesh| &mesh.attributes).filter(|a| a.name == *name);
+                let values = attributes.flat_map(|a| (0..a.values.len()).map(|i| a.values.at(i).max_element()));
+                scale * values.fold(0.0, |a, b| if b > a { b } else { a })
+            }
         }
     }
 }

@@ -8,6 +8,7 @@ mod blobs;
 mod bsdf;
 mod emitter;
 mod extent;
+mod group;
 mod sensor;
 mod shape;
 mod texture;
@@ -16,8 +17,9 @@ mod validate;
 pub use blobs::{BlobError, Digest, SceneBlobs};
 pub use bsdf::{Bend, Bsdf, BsdfId, Distribution};
 pub use emitter::Emitter;
+pub use group::{Group, GroupId, Instance};
 pub use sensor::{FovAxis, Lens, Sensor};
-pub use shape::{Geometry, Mesh, MeshId, Shape};
+pub use shape::{Attribute, AttributeValues, Geometry, Mesh, MeshId, Shape};
 pub use texture::{FilterType, Image, ImageId, Texels, Texture, TextureId, WrapMode};
 pub use validate::SceneError;
 
@@ -30,8 +32,12 @@ use std::sync::Arc;
 pub struct Scene {
     /// Where the pictures are taken from.
     pub sensor: Sensor,
-    /// Everything that a ray can hit.
+    /// Everything that a ray can hit, but for instances.
     pub shapes: Vec<Shape>,
+    /// Shapes that are kept once and seen where instances place them.
+    pub groups: Vec<Group>,
+    /// Groups in their places.
+    pub instances: Vec<Instance>,
     /// How surfaces scatter; shapes and other BSDFs refer to them.
     pub bsdfs: Vec<Bsdf>,
     /// Colours over surfaces; BSDFs and emitters refer to them.
@@ -46,6 +52,13 @@ pub struct Scene {
     pub images: Vec<Arc<Image>>,
     /// The point of the file's world space, in its units, that lies at the zero of this scene's coordinates.
     pub origin: [f64; 3],
+}
+
+impl Scene {
+    /// The shapes that stand in the scene itself, then those of each group: so they are numbered.
+    pub fn levels(&self) -> impl Iterator<Item = &[Shape]> {
+        std::iter::once(&*self.shapes).chain(self.groups.iter().map(|group| &*group.shapes))
+    }
 }
 
 #[cfg(test)]
@@ -64,6 +77,8 @@ impl Scene {
         Self {
             sensor,
             shapes: Vec::new(),
+            groups: Vec::new(),
+            instances: Vec::new(),
             bsdfs: Vec::new(),
             textures: Vec::new(),
             emitters: Vec::new(),

@@ -61,4 +61,75 @@ pub struct Mesh {
     pub uvs: Vec<Vec2>,
     /// Vertex indices of each triangle, counter-clockwise seen from the side the face normal points to.
     pub triangles: Vec<[u32; 3]>,
+    /// Further values over it, for [`super::Texture::MeshAttribute`]; only those that some texture shows.
+    pub attributes: Vec<Attribute>,
+}
+
+/// Values at the vertices or on the triangles of a mesh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attribute {
+    /// Begins with `vertex_` or `face_`, which says whether there is a value for each vertex or for each triangle.
+    pub name: String,
+    /// The values.
+    pub values: AttributeValues,
+}
+
+/// The values of an [`Attribute`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum AttributeValues {
+    /// One number each.
+    Scalars(Vec<f32>),
+    /// A linear sRGB colour each.
+    Colours(Vec<Vec3>),
+}
+
+impl AttributeValues {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Scalars(values) => values.len(),
+            Self::Colours(values) => values.len(),
+        }
+    }
+
+    /// There are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The value of this index as a colour.
+    #[inline]
+    pub fn at(&self, i: usize) -> Vec3 {
+        match self {
+            Self::Scalars(values) => Vec3::splat(values[i]),
+            Self::Colours(values) => values[i],
+        }
+    }
+}
+
+impl Attribute {
+    /// What the names of values at vertices begin with.
+    pub const AT_VERTICES: &'static str = "vertex_";
+    /// What the names of values on triangles begin with.
+    pub const ON_FACES: &'static str = "face_";
+
+    /// Whether there is a value for each triangle rather than for each vertex.
+    pub fn is_on_faces(&self) -> bool {
+        self.name.starts_with(Self::ON_FACES)
+    }
+}
+
+impl Mesh {
+    /// What it takes in memory.
+    pub fn bytes(&self) -> usize {
+        let of_attribute = |attribute: &Attribute| match &attribute.values {
+            AttributeValues::Scalars(values) => size_of_val(&**values),
+            AttributeValues::Colours(values) => size_of_val(&**values),
+        };
+        size_of_val(&*self.positions)
+            + size_of_val(&*self.normals)
+            + size_of_val(&*self.uvs)
+            + size_of_val(&*self.triangles)
+            + self.attributes.iter().map(of_attribute).sum::<usize>()
+    }
 }

@@ -1,4 +1,4 @@
-//! Values over a surface: constant, checkerboard, image.
+//! Values over a surface: constant, checkerboard, image, attribute of a mesh.
 
 use glam::{Affine2, Vec3};
 use serde::{Deserialize, Serialize};
@@ -38,6 +38,13 @@ pub enum Texture {
         /// Factor on every value (1 for most; an emitter's `scale` folds in here).
         scale: f32,
     },
+    /// Values that the mesh itself has: an [`super::Attribute`], between vertices linear.
+    MeshAttribute {
+        /// The attribute's name.
+        name: String,
+        /// Factor on every value.
+        scale: f32,
+    },
 }
 
 /// How a bitmap is read between its texels.
@@ -70,6 +77,16 @@ pub struct Image {
     pub height: u32,
     /// Row by row.
     pub texels: Texels,
+}
+
+impl Image {
+    /// What it takes in memory.
+    pub fn bytes(&self) -> usize {
+        match &self.texels {
+            Texels::Grey8 { data, .. } | Texels::Rgb8 { data, .. } => data.len(),
+            Texels::Grey32(data) | Texels::Rgb32(data) => size_of_val(&**data),
+        }
+    }
 }
 
 /// The pixels of an [`Image`]; the number of values is width · height · channels.

@@ -1,7 +1,8 @@
 //! The one check of a whole scene: indices in range, numbers finite, nothing nested in a circle.
 
-use super::{Bsdf, BsdfId, Emitter, Geometry, Image, Mesh, Scene, Sensor, Texels, Texture, TextureId};
+use super::{Attribute, Bsdf, BsdfId, Emitter, Geometry, Image, Mesh, Scene, Sensor, Texels, Texture, TextureId};
 use glam::{Affine3, Mat3, Vec3};
+use std::collections::BTreeSet;
 
 /// What is wrong with a scene that a file or the wire described.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -56,7 +57,7 @@ impl Scene {
         check(self.emitters.iter().filter(background).count() < 2, || {
             value("scene", "it has more than one background (constant, envmap), there must be at most one")
         })?;
-        for shape in &self.shapes {
+        for shape in self.levels().flatten() {
             let what = format!("shape '{}'", shape.name);
             index(&what, "bsdf", shape.bsdf.0, self.bsdfs.len())?;
             if let Some(radiance) = shape.radiance {
@@ -69,6 +70,8 @@ impl Scene {
                 | Geometry::Cylinder { to_world, .. } => invertible(&what, to_world)?,
             }
         }
+        self.validate_instances()?;
+        self.validate_attributes()?;
         check(self.origin.iter().all(|x| x.is_finite()), || value("scene", "its origin is not finite"))
     }
 
@@ -157,104 +160,79 @@ impl Scene {
                 index(&what, "image", image.0, self.images.len())?;
                 check(to_uv.is_finite() && scale.is_finite(), || value(&what, "to_uv or scale is not finite"))
             }
+            Texture::MeshAttribute { scale, .. } => {
+                check(scale.is_finite(), || value(&what, "its scale is not finite"))
+            }
         }
     }
 
     fn validate_bsdf(&self, i: usize, bsdf: &Bsdf) -> Result<(), SceneError> {
         let what = format!("bsdf {i}");
-        let texture = |id: &TextureId| index(&what, "texture", id.0, self.textures.len());
-        let nested = |id: &BsdfId| index(&what, "bsdf", id.0, i);
+        bsdf.textures().iter().try_for_each(|id| index(&what, "texture", id.0, self.textures.len()))?;
+        bsdf.nested().iter().try_for_each(|id| index(&what, "bsdf", id.0, i))?;
         match bsdf {
-            Bsdf::Diffuse { reflectance } => texture(reflectance),
-            Bsdf::Conductor { eta, k, specular_reflectance } => {
-                [eta, k, specular_reflectance].into_iter().try_for_each(texture)
-            }
-            Bsdf::Dielectric { eta, specular_reflectance, specular_transmittance }
-            | Bsdf::ThinDielectric { eta, specular_reflectance, specular_transmittance } => {
-                refractive_index(&what, *eta)?;
-                [specular_reflectance, specular_transmittance].into_iter().try_for_each(texture)
-            }
-            Bsdf::Phong { diffuse_reflectance, specular_reflectance, exponent } => {
-                check(exponent.is_finite() && *exponent >= 0.0, || {
-                    value(&what, format!("the exponent is {exponent}, it must not be negative"))
-                })?;
-                [diffuse_reflectance, specular_reflectance].into_iter().try_for_each(texture)
-            }
-            Bsdf::RoughConductor { alpha_u, alpha_v, eta, k, specular_reflectance, .. } => {
-                [alpha_u, alpha_v, eta, k, specular_reflectance].into_iter().try_for_each(texture)
-            }
-            Bsdf::RoughDielectric { alpha_u, alpha_v, eta, specular_reflectance, specular_transmittance, .. } => {
-                refractive_index(&what, *eta)?;
-                [alpha_u, alpha_v, specular_reflectance, specular_transmittance].into_iter().try_for_each(texture)
-            }
-            Bsdf::Plastic { eta, diffuse_reflectance, specular_reflectance, .. } => {
-                refractive_index(&what, *eta)?;
-                [diffuse_reflectance, specular_reflectance].into_iter().try_for_each(texture)
-            }
-            Bsdf::RoughPlastic { alpha, eta, diffuse_reflectance, specular_reflectance, .. } => {
+            Bsdf::Dielectric { eta, .. }
+            | Bsdf::ThinDielectric { eta, .. }
+            | Bsdf::RoughDielectric { eta, .. }
+            | Bsdf::Plastic { eta, .. }
+            | Bsdf::Principled { eta, .. } => refractive_index(&what, *eta),
+            Bsdf::RoughPlastic { alpha, eta, .. } => {
                 check(alpha.is_finite(), || value(&what, "the roughness is not finite"))?;
-                refractive_index(&what, *eta)?;
-                [diffuse_reflectance, specular_reflectance].into_iter().try_for_each(texture)
+                refractive_index(&what, *eta)
             }
-            Bsdf::Principled { .. } | Bsdf::PrincipledThin { .. } => self.validate_principled(&what, bsdf),
-            Bsdf::Null => Ok(()),
-            Bsdf::TwoSided { front, back } => [front, back].into_iter().try_for_each(nested),
-            Bsdf::BlendBsdf { weight, nested: both } => {
-                texture(weight)?;
-                both.iter().try_for_each(nested)
-            }
-            Bsdf::Mask { opacity: map, nested: inner } | Bsdf::NormalMap { normalmap: map, nested: inner, .. } => {
-                texture(map)?;
-                nested(inner)
-            }
-            Bsdf::BumpMap { texture: heights, scale, nested: inner, .. } => {
-                check(scale.is_finite(), || value(&what, "its scale is not finite"))?;
-                texture(heights)?;
-                nested(inner)
-            }
+            Bsdf::Phong { exponent, .. } => check(exponent.is_finite() && *exponent >= 0.0, || {
+                value(&what, format!("the exponent is {exponent}, it must not be negative"))
+            }),
+            Bsdf::BumpMap { scale, .. } => check(scale.is_finite(), || value(&what, "its scale is not finite")),
+            _ => Ok(()),
         }
     }
 
-    fn validate_principled(&self, what: &str, bsdf: &Bsdf) -> Result<(), SceneError> {
-        let texture = |id: &TextureId| index(what, "texture", id.0, self.textures.len());
-        match bsdf {
-            Bsdf::Principled {
-                base_color,
-                roughness,
-                anisotropic,
-                metallic,
-                spec_trans,
-                eta,
-                spec_tint,
-                sheen,
-                sheen_tint,
-                flatness,
-                clearcoat,
-                clearcoat_gloss,
-            } => {
-                refractive_index(what, *eta)?;
-                [base_color, roughness, anisotropic, metallic, spec_trans, spec_tint]
-                    .into_iter()
-                    .try_for_each(texture)?;
-                [sheen, sheen_tint, flatness, clearcoat, clearcoat_gloss].into_iter().try_for_each(texture)
-            }
-            Bsdf::PrincipledThin {
-                base_color,
-                roughness,
-                anisotropic,
-                spec_trans,
-                eta,
-                spec_tint,
-                sheen,
-                sheen_tint,
-                flatness,
-                diff_trans,
-            } => {
-                [base_color, roughness, anisotropic, spec_trans, eta].into_iter().try_for_each(texture)?;
-                [spec_tint, sheen, sheen_tint, flatness, diff_trans].into_iter().try_for_each(texture)
-            }
-            _ => Ok(()),
+    fn validate_instances(&self) -> Result<(), SceneError> {
+        for shape in self.groups.iter().flat_map(|group| &group.shapes) {
+            check(shape.radiance.is_none(), || {
+                value(&format!("shape '{}'", shape.name), "it stands in a group and emits; a light has one place")
+            })?;
         }
+        for (i, instance) in self.instances.iter().enumerate() {
+            let what = format!("instance {i}");
+            index(&what, "group", instance.group.0, self.groups.len())?;
+            invertible(&what, &instance.to_world)?;
+        }
+        Ok(())
+    }
+
+    /// Whether each mesh has the attributes that the textures on it show.
+    fn validate_attributes(&self) -> Result<(), SceneError> {
+        let mut of_textures: Vec<BTreeSet<&str>> = Vec::with_capacity(self.textures.len());
+        for texture in &self.textures {
+            let of = |id: &TextureId| of_textures[id.0 as usize].iter().copied();
+            of_textures.push(match texture {
+                Texture::Constant(_) | Texture::Bitmap { .. } => BTreeSet::new(),
+                Texture::Checkerboard { color0, color1, .. } => of(color0).chain(of(color1)).collect(),
+                Texture::MeshAttribute { name, .. } => BTreeSet::from([name.as_str()]),
+            });
+        }
+        let of_texture = |id: TextureId| of_textures[id.0 as usize].iter().copied();
+        let mut of_bsdfs: Vec<BTreeSet<&str>> = Vec::with_capacity(self.bsdfs.len());
+        for bsdf in &self.bsdfs {
+            let nested = bsdf.nested().into_iter().flat_map(|id| of_bsdfs[id.0 as usize].iter().copied());
+            of_bsdfs.push(nested.chain(bsdf.textures().into_iter().flat_map(of_texture)).collect());
+        }
+        for shape in self.levels().flatten() {
+            let of_bsdf = of_bsdfs[shape.bsdf.0 as usize].iter().copied();
+            for name in of_bsdf.chain(shape.radiance.into_iter().flat_map(of_texture)) {
+                let has = match shape.geometry {
+                    Geometry::Mesh(id) => self.meshes[id.0 as usize].attributes.iter().any(|a| a.name == name),
+                    _ => false,
+                };
+                check(has, || {
+                    let problem = format!("a texture on it shows the attribute '{name}', which it does not have");
+                    value(&format!("shape '{}'", shape.name), problem)
+                })?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -293,7 +271,24 @@ impl Mesh {
         let numbers = self.positions.iter().chain(&self.normals).all(|v| v.is_finite());
         check(numbers && self.uvs.iter().all(|v| v.is_finite()), || {
             value(what, "a position, normal or texture coordinate is not finite")
-        })
+        })?;
+        self.attributes.iter().try_for_each(|attribute| self.validate_attribute(what, attribute))
+    }
+
+    fn validate_attribute(&self, what: &str, attribute: &Attribute) -> Result<(), SceneError> {
+        let Attribute { name, values } = attribute;
+        let expected = match attribute.is_on_faces() {
+            true => self.triangles.len(),
+            false => self.positions.len(),
+        };
+        check(attribute.is_on_faces() || name.starts_with(Attribute::AT_VERTICES), || {
+            value(what, format!("its attribute '{name}' begins neither with vertex_ nor with face_"))
+        })?;
+        check(values.len() == expected, || {
+            value(what, format!("its attribute '{name}' has {} values, there must be {expected}", values.len()))
+        })?;
+        let finite = (0..values.len()).all(|i| values.at(i).is_finite());
+        check(finite, || value(what, format!("a value of its attribute '{name}' is not finite")))
     }
 }
 

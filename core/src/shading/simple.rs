@@ -5,6 +5,7 @@ use crate::bsdf::{
     RoughConductor, RoughDielectric, RoughPlastic, ThinDielectric, alphas,
 };
 use crate::scene::{Bsdf, BsdfId, Distribution, TextureId};
+use crate::surface::Surface;
 use crate::texture::Textures;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -44,8 +45,8 @@ impl Coats {
 
 /// The closure of a model that nests no other; `id` is its own.
 #[inline]
-pub fn closure<'a>(bsdf: &Bsdf, coats: &'a Coats, id: BsdfId, textures: &Textures, uv: Vec2) -> Closure<'a> {
-    let value = |id: &TextureId| textures.at(*id, uv);
+pub fn closure<'a>(bsdf: &Bsdf, coats: &'a Coats, id: BsdfId, textures: &Textures, surface: &Surface) -> Closure<'a> {
+    let value = |id: &TextureId| textures.at(*id, surface);
     let scalar = |id: &TextureId| value(id).x;
     match bsdf {
         Bsdf::Diffuse { reflectance } => Closure::Diffuse(Diffuse { reflectance: value(reflectance) }),

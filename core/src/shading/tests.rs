@@ -85,6 +85,8 @@ fn scene(shape: &str, material: usize) -> Scene {
             lens: None,
         },
         shapes: vec![Shape { name: shape.into(), geometry, bsdf: BsdfId(bsdfs.len() as u32 - 1), radiance: None }],
+        groups: Vec::new(),
+        instances: Vec::new(),
         bsdfs,
         textures,
         emitters: Vec::new(),

@@ -24,6 +24,11 @@ impl AnalyticBvh {
         Self { bvh, order }
     }
 
+    /// What it takes in memory.
+    pub fn bytes(&self) -> usize {
+        self.bvh.size().1 + size_of_val(&*self.order)
+    }
+
     /// The nearest hit up to `ray.t_max`, and the index of its shape; of equally near ones the first shape.
     #[inline(always)]
     pub fn closest<L: Lanes>(&self, lanes: L, shapes: &[Analytic], ray: &Ray) -> Option<(f32, u32)> {

@@ -4,6 +4,7 @@
 
 mod bsdfs;
 mod faults;
+mod groups;
 mod hostile;
 mod lights_and_cameras;
 mod mitsuba;

@@ -7,7 +7,7 @@ pub(crate) mod ply;
 pub(crate) mod primitives;
 pub(crate) mod serialized;
 
-use crate::scene::Mesh;
+use crate::scene::{Attribute, AttributeValues, Mesh};
 use glam::{DAffine3, DMat3, DVec3, Vec2, Vec3};
 
 /// A mesh as a file has it. `normals` and `uvs` have one entry a position, or none.
@@ -20,6 +20,10 @@ pub(crate) struct FileMesh {
     pub triangles: Vec<[u32; 3]>,
     /// Faces of fewer than three corners, left out.
     pub incomplete_faces: usize,
+    /// Those of its attributes that were asked for.
+    pub attributes: Vec<Attribute>,
+    /// The names of all attributes that the file has.
+    pub attribute_names: Vec<String>,
 }
 
 /// How a mesh stands in the scene.
@@ -61,6 +65,8 @@ pub(crate) fn to_scene(mesh: &FileMesh, placement: &Placement, origin: DVec3) ->
     }
     let mut triangles: Vec<[u32; 3]> = mesh.triangles.iter().copied().filter(|t| has_area(&positions, *t)).collect();
     let degenerate = mesh.triangles.len() - triangles.len();
+    let attributes =
+        mesh.attributes.iter().map(|attribute| of_triangles_with_area(attribute, mesh, &positions)).collect();
     let mut normals = match placement.face_normals {
         true => Vec::new(),
         false => vertex_normals(mesh, &world, &triangles, placement.to_world.matrix3),
@@ -73,7 +79,21 @@ pub(crate) fn to_scene(mesh: &FileMesh, placement: &Placement, origin: DVec3) ->
     if placement.flip_v {
         uvs.iter_mut().for_each(|uv| uv.y = 1.0 - uv.y);
     }
-    Ok((Mesh { positions, normals, uvs, triangles }, degenerate))
+    Ok((Mesh { positions, normals, uvs, triangles, attributes }, degenerate))
+}
+
+/// An attribute without the values of degenerate triangles, if it lies on triangles.
+fn of_triangles_with_area(attribute: &Attribute, mesh: &FileMesh, positions: &[Vec3]) -> Attribute {
+    fn kept<T: Copy>(values: &[T], mesh: &FileMesh, positions: &[Vec3]) -> Vec<T> {
+        let pairs = mesh.triangles.iter().zip(values);
+        pairs.filter(|(triangle, _)| has_area(positions, **triangle)).map(|(_, value)| *value).collect()
+    }
+    let values = match &attribute.values {
+        _ if !attribute.is_on_faces() => attribute.values.clone(),
+        AttributeValues::Scalars(values) => AttributeValues::Scalars(kept(values, mesh, positions)),
+        AttributeValues::Colours(values) => AttributeValues::Colours(kept(values, mesh, positions)),
+    };
+    Attribute { name: attribute.name.clone(), values }
 }
 
 /// Whether a triangle's corners span an area, in the coordinates that will be traced.

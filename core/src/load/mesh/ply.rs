@@ -1,31 +1,30 @@
-//! PLY, text or binary of either byte order: vertices with normals and texture coordinates, faces of any number of corners.
+//! PLY, text or binary of either byte order: vertices with normals and texture coordinates, faces of any number of corners,
+//! attributes of both.
 //!
-//! `ply-rs-bw` reads the header; the payload is read here, straight into the mesh instead of into a map for each vertex.
+//! `ply-rs-bw` reads the header; the payload is read here, straight into the mesh instead of into a map for each vertex, and
+//! on all processors where every row has the same length.
+
+mod columns;
+mod payload;
 
 use super::FileMesh;
 use crate::load::error::{LoadError, Place, Result};
+use crate::scene::Attribute;
+use columns::{Channels, Columns};
 use glam::{DVec3, Vec2};
+use payload::{Payload, Row, Rows, integer};
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{DefaultElement, ElementDef, Encoding, PropertyType, ScalarType};
+use ply_rs_bw::ply::{DefaultElement, ElementDef, PropertyDef, PropertyType, ScalarType};
+use rayon::prelude::*;
 use std::io::Cursor;
 
-/// The names under which the columns of a vertex are found: x, y, z, nx, ny, nz, u, v.
-const COLUMNS: [&[&str]; 8] = [
-    &["x"],
-    &["y"],
-    &["z"],
-    &["nx"],
-    &["ny"],
-    &["nz"],
-    &["u", "s", "texture_u", "texture_s"],
-    &["v", "t", "texture_v", "texture_t"],
-];
+type Told<T> = std::result::Result<T, String>;
 
-/// Reads a whole file; `name` is for messages.
+/// Reads a whole file; `name` is for messages. Of the attributes those are read that `wanted` names.
 ///
 /// # Errors
 /// A header that is none, a payload that ends early, indices out of range, numbers that are not finite, no faces.
-pub(crate) fn parse(name: &str, bytes: &[u8]) -> Result<FileMesh> {
+pub(crate) fn parse(name: &str, bytes: &[u8], wanted: &[String]) -> Result<FileMesh> {
     let fail = |message: String| LoadError::at(Place::file(name), message);
     let mut reader = Reader::new(Cursor::new(bytes));
     let header = Parser::<DefaultElement>::new()
@@ -36,8 +35,8 @@ pub(crate) fn parse(name: &str, bytes: &[u8]) -> Result<FileMesh> {
     let mut mesh = FileMesh::default();
     for (kind, element) in &header.elements {
         let read = match kind.as_str() {
-            "vertex" => vertices(&mut payload, element, &mut mesh),
-            "face" => faces(&mut payload, element, &mut mesh),
+            "vertex" => vertices(&mut payload, element, wanted, &mut mesh),
+            "face" => faces(&mut payload, element, wanted, &mut mesh),
             _ => skip(&mut payload, element),
         };
         read.map_err(|message| match payload.line() {
@@ -49,7 +48,7 @@ pub(crate) fn parse(name: &str, bytes: &[u8]) -> Result<FileMesh> {
         return Err(fail("this PLY file has no faces; export the mesh with faces".into()));
     }
     let vertices = mesh.positions.len();
-    match mesh.triangles.iter().position(|t| t.iter().any(|&i| i as usize >= vertices)) {
+    match mesh.triangles.par_iter().position_first(|t| t.iter().any(|&i| i as usize >= vertices)) {
         Some(i) => Err(fail(format!(
             "triangle {i} refers to vertices {:?}, but there are only {vertices}, from 0; export the mesh again",
             mesh.triangles[i]
@@ -58,76 +57,86 @@ pub(crate) fn parse(name: &str, bytes: &[u8]) -> Result<FileMesh> {
     }
 }
 
-fn vertices(payload: &mut Payload, element: &ElementDef, mesh: &mut FileMesh) -> std::result::Result<(), String> {
-    // For each property the column it fills.
-    let column_of = |property: &str| COLUMNS.iter().position(|names| names.contains(&property));
-    let columns: Vec<Option<usize>> = element.properties.keys().map(|property| column_of(property)).collect();
-    let has = |wanted: std::ops::Range<usize>| wanted.into_iter().all(|column| columns.contains(&Some(column)));
-    if !has(0..3) {
+fn vertices(payload: &mut Payload, element: &ElementDef, wanted: &[String], mesh: &mut FileMesh) -> Told<()> {
+    let columns = Columns::of(element, Attribute::AT_VERTICES);
+    let Some([x, y, z]) = columns.position else {
         return Err("the vertices have no x, y and z".into());
+    };
+    let channels = columns.wanted(wanted);
+    let rows = payload.rows(element, "vertex", &columns.numbers(&channels))?;
+    mesh.positions = rows.collect(|row| DVec3::new(row.get(x), row.get(y), row.get(z)));
+    if let Some([x, y, z]) = columns.normal {
+        let unit = |row: Row| DVec3::new(row.get(x), row.get(y), row.get(z)).normalize_or_zero().as_vec3();
+        mesh.normals = rows.collect(unit);
     }
-    let (normals, uvs) = (has(3..6), has(6..8));
-    let count = payload.plausible(element.count);
-    mesh.positions.reserve_exact(count);
-    mesh.normals.reserve_exact(if normals { count } else { 0 });
-    mesh.uvs.reserve_exact(if uvs { count } else { 0 });
-    for i in 0..element.count {
-        let mut row = [0.0; COLUMNS.len()];
-        for (property, column) in element.properties.values().zip(&columns) {
-            match (&property.data_type, column) {
-                (PropertyType::Scalar(kind), Some(column)) => row[*column] = payload.scalar(kind)?,
-                (kind, _) => skip_property(payload, kind)?,
-            }
-        }
-        let [x, y, z, nx, ny, nz, u, v] = row;
-        let position = DVec3::new(x, y, z);
-        if !position.as_vec3().is_finite() || !row.iter().all(|x| x.is_finite()) {
-            return Err(format!("vertex {i} has a number that is not finite, or beyond 3e38; export the mesh again"));
-        }
-        mesh.positions.push(position);
-        if normals {
-            mesh.normals.push(DVec3::new(nx, ny, nz).normalize_or_zero().as_vec3());
-        }
-        if uvs {
-            mesh.uvs.push(Vec2::new(u as f32, v as f32));
-        }
+    if let Some([u, v]) = columns.uv {
+        mesh.uvs = rows.collect(|row| Vec2::new(row.get(u) as f32, row.get(v) as f32));
     }
+    mesh.attributes.extend(channels.iter().map(|channels| channels.attribute(&rows)));
+    mesh.attribute_names.extend(columns.attributes.into_iter().map(|channels| channels.name));
     Ok(())
 }
 
-fn faces(payload: &mut Payload, element: &ElementDef, mesh: &mut FileMesh) -> std::result::Result<(), String> {
-    mesh.triangles.reserve_exact(payload.plausible(element.count));
-    let is_indices = |name: &str| name == "vertex_indices" || name == "vertex_index";
-    if !element.properties.keys().any(|name| is_indices(name)) {
+fn faces(payload: &mut Payload, element: &ElementDef, wanted: &[String], mesh: &mut FileMesh) -> Told<()> {
+    let is_corners = |(name, property): (&String, &PropertyDef)| {
+        matches!(property.data_type, PropertyType::List(..)) && (name == "vertex_indices" || name == "vertex_index")
+    };
+    let Some(corners) = element.properties.iter().position(is_corners) else {
         return Err("the faces have no list 'vertex_indices'".into());
+    };
+    let columns = Columns::of(element, Attribute::ON_FACES);
+    let channels = columns.wanted(wanted);
+    if let Some((rows, first)) = payload.triangles(element, corners, &columns.numbers(&channels))? {
+        mesh.triangles = rows.collect(|row| [0, 1, 2].map(|k| integer(row.get(first + k)).unwrap_or(u32::MAX)));
+        mesh.attributes.extend(channels.iter().map(|channels| channels.attribute(&rows)));
+    } else {
+        polygons(payload, element, corners, &channels, mesh)?;
     }
+    mesh.attribute_names.extend(columns.attributes.into_iter().map(|channels| channels.name));
+    Ok(())
+}
+
+/// Faces of any number of corners, one by one. A face's attributes are those of each of its triangles.
+fn polygons(
+    payload: &mut Payload,
+    element: &ElementDef,
+    corners: usize,
+    channels: &[Channels],
+    mesh: &mut FileMesh,
+) -> Told<()> {
+    mesh.triangles.reserve_exact(payload.plausible(element.count));
+    let width = element.properties.len();
+    let mut table = Vec::new();
+    let mut row = vec![0.0; width];
     for _ in 0..element.count {
-        for (name, property) in &element.properties {
+        let before = mesh.triangles.len();
+        for (i, property) in element.properties.values().enumerate() {
             match &property.data_type {
-                PropertyType::List(count, index) if is_indices(name) => face(payload, count, index, mesh)?,
-                kind => skip_property(payload, kind)?,
+                PropertyType::List(count, index) if i == corners => face(payload, count, index, mesh)?,
+                PropertyType::Scalar(kind) => row[i] = payload.scalar(kind)?,
+                PropertyType::List(..) => payload.skip(&property.data_type)?,
             }
         }
+        if !channels.is_empty() {
+            (before..mesh.triangles.len()).for_each(|_| table.extend(&row));
+        }
     }
+    let rows = Rows::table(table, width);
+    mesh.attributes.extend(channels.iter().map(|channels| channels.attribute(&rows)));
     Ok(())
 }
 
 /// A fan of triangles around the face's first corner.
-fn face(
-    payload: &mut Payload,
-    count: &ScalarType,
-    index: &ScalarType,
-    mesh: &mut FileMesh,
-) -> std::result::Result<(), String> {
+fn face(payload: &mut Payload, count: &ScalarType, index: &ScalarType, mesh: &mut FileMesh) -> Told<()> {
     let count = payload.scalar(count)?;
     let mut corners = [0; 3];
     for i in 0..count as u64 {
         let corner = payload.scalar(index)?;
         // Mitsuba reads indices as unsigned; a negative or fractional one is refused here.
-        if corner < 0.0 || corner > f64::from(u32::MAX) || corner != corner.trunc() {
+        let Some(corner) = integer(corner) else {
             return Err(format!("a face refers to vertex {corner}, which cannot be; export the mesh again"));
-        }
-        corners[i.min(2) as usize] = corner as u32;
+        };
+        corners[i.min(2) as usize] = corner;
         if i >= 2 {
             mesh.triangles.push(corners);
             corners[1] = corners[2];
@@ -137,96 +146,14 @@ fn face(
     Ok(())
 }
 
-fn skip(payload: &mut Payload, element: &ElementDef) -> std::result::Result<(), String> {
+fn skip(payload: &mut Payload, element: &ElementDef) -> Told<()> {
     if element.properties.is_empty() {
         return Ok(());
     }
     for _ in 0..element.count {
-        element.properties.values().try_for_each(|property| skip_property(payload, &property.data_type))?;
+        element.properties.values().try_for_each(|property| payload.skip(&property.data_type))?;
     }
     Ok(())
-}
-
-fn skip_property(payload: &mut Payload, kind: &PropertyType) -> std::result::Result<(), String> {
-    match kind {
-        PropertyType::Scalar(kind) => payload.scalar(kind).map(|_| ()),
-        PropertyType::List(count, kind) => {
-            let count = payload.scalar(count)?;
-            (0..count as u64).try_for_each(|_| payload.scalar(kind).map(|_| ()))
-        }
-    }
-}
-
-/// The bytes behind the header.
-struct Payload<'a> {
-    encoding: Encoding,
-    bytes: &'a [u8],
-    at: usize,
-}
-
-impl<'a> Payload<'a> {
-    fn new(encoding: Encoding, bytes: &'a [u8], at: usize) -> Self {
-        Self { encoding, bytes, at }
-    }
-
-    /// The number of rows to make room for: the header's, unless the bytes left cannot hold as many.
-    fn plausible(&self, count: usize) -> usize {
-        count.min((self.bytes.len() - self.at) / 2)
-    }
-
-    /// The next number.
-    fn scalar(&mut self, kind: &ScalarType) -> std::result::Result<f64, String> {
-        if self.encoding == Encoding::Ascii {
-            return self.word();
-        }
-        Ok(match kind {
-            ScalarType::Char => f64::from(i8::from_le_bytes(self.take()?)),
-            ScalarType::UChar => f64::from(u8::from_le_bytes(self.take()?)),
-            ScalarType::Short => f64::from(i16::from_le_bytes(self.take()?)),
-            ScalarType::UShort => f64::from(u16::from_le_bytes(self.take()?)),
-            ScalarType::Int => f64::from(i32::from_le_bytes(self.take()?)),
-            ScalarType::UInt => f64::from(u32::from_le_bytes(self.take()?)),
-            ScalarType::Float => f64::from(f32::from_le_bytes(self.take()?)),
-            ScalarType::Double => f64::from_le_bytes(self.take()?),
-        })
-    }
-
-    /// The next `N` bytes, little end first.
-    fn take<const N: usize>(&mut self) -> std::result::Result<[u8; N], String> {
-        let Some(bytes) = self.bytes[self.at..].first_chunk::<N>() else {
-            return Err("the file ends before its last vertex or face: it is truncated; copy or export it again".into());
-        };
-        self.at += N;
-        let mut bytes = *bytes;
-        if self.encoding == Encoding::BinaryBigEndian {
-            bytes.reverse();
-        }
-        Ok(bytes)
-    }
-
-    /// The next word of a text file as a number.
-    fn word(&mut self) -> std::result::Result<f64, String> {
-        let rest = &self.bytes[self.at..];
-        let Some(blanks) = rest.iter().position(|b| !b.is_ascii_whitespace()) else {
-            return Err("the file ends before its last vertex or face: it is truncated; copy or export it again".into());
-        };
-        let word = &rest[blanks..];
-        let len = word.iter().position(u8::is_ascii_whitespace).unwrap_or(word.len());
-        self.at += blanks + len;
-        let text = String::from_utf8_lossy(&word[..len.min(40)]);
-        text.parse().map_err(|_| format!("'{text}' is not a number"))
-    }
-
-    /// Number and text of the line just read, in a text file.
-    fn line(&self) -> Option<(usize, String)> {
-        if self.encoding != Encoding::Ascii {
-            return None;
-        }
-        let at = self.at.saturating_sub(1);
-        let number = self.bytes[..at].iter().filter(|&&b| b == b'\n').count() + 1;
-        let line = self.bytes.split(|&b| b == b'\n').nth(number - 1).unwrap_or_default();
-        Some((number, String::from_utf8_lossy(&line[..line.len().min(1000)]).into_owned()))
-    }
 }
 
 #[cfg(test)]
@@ -249,7 +176,7 @@ mod tests {
              property float t\n{FACES}"
         );
         let body = "0 0 0 0 3 4 255 .1 .2\n1 0 0 0 0 1 0 .3 .4\n1 1 0 0 0 1 0 .5 .6\n0 1 0 0 0 0 0 .7 .8\n4 0 1 2 3\n";
-        let mesh = parse("a.ply", &text(&header, body)).unwrap();
+        let mesh = parse("a.ply", &text(&header, body), &[]).unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3]]);
         assert_eq!(mesh.normals[0], Vec3::new(0.0, 0.6, 0.8));
         assert_eq!((mesh.normals[3], mesh.uvs[2]), (Vec3::ZERO, Vec2::new(0.5, 0.6)));
@@ -269,9 +196,9 @@ mod tests {
             }
             file.push(3);
             (0..3i32).for_each(|i| file.extend(if big { i.to_be_bytes() } else { i.to_le_bytes() }));
-            meshes.push(parse("a.ply", &file).unwrap());
+            meshes.push(parse("a.ply", &file, &[]).unwrap());
             file.pop();
-            assert!(parse("a.ply", &file).unwrap_err().to_string().contains("truncated"));
+            assert!(parse("a.ply", &file, &[]).unwrap_err().to_string().contains("truncated"));
         }
         assert_eq!(meshes[0], meshes[1]);
         assert_eq!(meshes[0].positions[2], DVec3::new(1.0, 1.0, 0.1));
@@ -291,7 +218,7 @@ mod tests {
             (with("0 0 zero\n"), "'zero' is not a number"),
             (with("0 0 0\n"), "truncated"),
         ] {
-            let message = parse("a.ply", &file).unwrap_err().to_string();
+            let message = parse("a.ply", &file, &[]).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }
     }
@@ -300,9 +227,9 @@ mod tests {
     fn a_header_that_promises_too_much_is_refused_quickly() {
         for element in ["vertex", "face", "other"] {
             let header = format!("element {element} 18446744073709551615\nproperty float x\nend_header\n");
-            assert!(parse("a.ply", &text(&header, "")).is_err());
+            assert!(parse("a.ply", &text(&header, ""), &[]).is_err());
             let empty = format!("element {element} 18446744073709551615\nend_header\n");
-            assert!(parse("a.ply", &text(&empty, "")).is_err());
+            assert!(parse("a.ply", &text(&empty, ""), &[]).is_err());
         }
     }
 }

@@ -11,7 +11,7 @@ pub(crate) fn rectangle() -> FileMesh {
         normals: vec![Vec3::Z; 4],
         uvs: corners.iter().map(|(u, v)| Vec2::new(*u as f32, *v as f32)).collect(),
         triangles: vec![[0, 1, 2], [0, 2, 3]],
-        incomplete_faces: 0,
+        ..FileMesh::default()
     }
 }
 

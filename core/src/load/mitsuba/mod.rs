@@ -55,6 +55,8 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<Loaded> {
         bsdfs: HashMap::new(),
         lit: HashMap::new(),
         made: HashSet::new(),
+        groups: HashMap::new(),
+        in_group: false,
     };
     loader.scene()
 }
@@ -70,10 +72,14 @@ pub(crate) struct Loader<'a> {
     pub lit: HashMap<ObjectId, ObjectId>,
     /// Objects in use.
     pub made: HashSet<ObjectId>,
+    /// Groups of shapes made so far.
+    pub groups: HashMap<ObjectId, usize>,
+    /// Whether the shapes being made stand in a group.
+    pub in_group: bool,
 }
 
 /// Tags of which a scene may have unused objects.
-const SPARE_TAGS: [Tag; 4] = [Tag::Bsdf, Tag::Texture, Tag::Emitter, Tag::Medium];
+const SPARE_TAGS: [Tag; 5] = [Tag::Shape, Tag::Bsdf, Tag::Texture, Tag::Emitter, Tag::Medium];
 
 impl Loader<'_> {
     fn scene(mut self) -> Result<Loaded> {
@@ -87,6 +93,7 @@ impl Loader<'_> {
                 return Err(document.error(&property.span, message));
             };
             match document.object(id).tag {
+                Tag::Shape if document.object(id).plugin == "shapegroup" => {}
                 Tag::Shape => self.shape(id)?,
                 Tag::Emitter => lights.push(id),
                 Tag::Integrator => integrators.push((id, &property.span)),

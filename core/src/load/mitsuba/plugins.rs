@@ -133,22 +133,9 @@ pub fn plugins() -> impl Iterator<Item = &'static Plugin> {
 
 /// Plugins that Mitsuba has and tilecast does not have yet.
 const MISSING: &[(Tag, &[&str])] = &[
-    (
-        Tag::Shape,
-        &[
-            "bsplinecurve",
-            "cylinder",
-            "ellipsoids",
-            "ellipsoidsmesh",
-            "instance",
-            "linearcurve",
-            "merge",
-            "sdfgrid",
-            "shapegroup",
-        ],
-    ),
+    (Tag::Shape, &["bsplinecurve", "ellipsoids", "ellipsoidsmesh", "linearcurve", "merge", "sdfgrid"]),
     (Tag::Bsdf, &["circular", "hair", "measured", "measured_polarized", "polarizer", "pplastic", "retarder"]),
-    (Tag::Texture, &["mesh_attribute", "volume"]),
+    (Tag::Texture, &["volume"]),
     (Tag::Emitter, &["directionalarea", "sunsky", "timed_sunsky"]),
     (Tag::Sensor, &["batch", "distant", "irradiancemeter", "radiancemeter"]),
     (Tag::Film, &["specfilm"]),

@@ -7,8 +7,8 @@ use super::properties::Properties;
 use crate::load::assembly::{MeshFormat, MeshSource};
 use crate::load::error::Result;
 use crate::load::mesh::{Placement, primitives};
-use crate::load::placed::{PlacedGeometry, PlacedShape};
-use glam::{DAffine3, DVec3};
+use crate::load::placed::{PlacedGeometry, PlacedInstance, PlacedShape};
+use glam::{DAffine3, DMat3, DVec3};
 use std::sync::Arc;
 
 const TO_WORLD: Parameter = parameter("to_world", Takes::Transform, "Object to world space.");
@@ -99,6 +99,33 @@ pub(crate) const PLUGINS: &[Plugin] = &[
         parameters: &[TO_WORLD, FLIP_NORMALS, BSDF, EMITTER, SILHOUETTE],
         build: Build::Shape(disk),
     },
+    Plugin {
+        name: "cylinder",
+        doc: "A cylinder without caps, exactly round, normals outwards.",
+        parameters: &[
+            parameter("p0", Takes::Vector(Some([0.0; 3])), "Where its axis begins."),
+            parameter("p1", Takes::Vector(Some([0.0, 0.0, 1.0])), "Where its axis ends."),
+            parameter("radius", Takes::Float(Some(1.0)), "Its radius."),
+            TO_WORLD,
+            FLIP_NORMALS,
+            BSDF,
+            EMITTER,
+            SILHOUETTE,
+        ],
+        build: Build::Shape(cylinder),
+    },
+    Plugin {
+        name: "shapegroup",
+        doc: "Shapes that are kept once and seen only where instances place them; none of them may shine.",
+        parameters: &[child(Tag::Shape, "What is in it: no instances and no other groups.")],
+        build: Build::Shape(misplaced_group),
+    },
+    Plugin {
+        name: "instance",
+        doc: "A shapegroup in its place.",
+        parameters: &[TO_WORLD, child(Tag::Shape, "The shapegroup.")],
+        build: Build::Shape(instance),
+    },
 ];
 
 /// Relative difference between its axes up to which a transformation counts as a similarity.
@@ -116,9 +143,41 @@ impl Loader<'_> {
         }
     }
 
+    /// The group of shapes that an object describes, made once however often it is placed.
+    fn group(&mut self, id: ObjectId) -> Result<usize> {
+        if let Some(known) = self.groups.get(&id) {
+            return Ok(*known);
+        }
+        let properties = Properties::new(self.document, id, &mut self.assembly.notes)?;
+        self.made.insert(id);
+        let outside = std::mem::take(&mut self.assembly.shapes);
+        self.in_group = true;
+        for (child, span) in properties.children(Tag::Shape) {
+            if ["shapegroup", "instance"].contains(&self.document.object(child).plugin.as_str()) {
+                let message = "a shapegroup can hold neither instances nor other groups; put their shapes into it";
+                return Err(properties.error(span, message));
+            }
+            self.shape(child)?;
+        }
+        self.in_group = false;
+        let shapes = std::mem::replace(&mut self.assembly.shapes, outside);
+        if shapes.is_empty() {
+            return Err(properties.error(&properties.object.span, "this shapegroup is empty; put shapes into it"));
+        }
+        self.assembly.groups.push(shapes);
+        let group = self.assembly.groups.len() - 1;
+        self.groups.insert(id, group);
+        Ok(group)
+    }
+
     /// Adds a shape of a geometry with the material and light that stand in it.
     fn add(&mut self, properties: &Properties, name: Option<&str>, geometry: PlacedGeometry) -> Result<()> {
         let light = properties.child(Tag::Emitter)?;
+        if let Some((_, span)) = properties.children(Tag::Emitter).next().filter(|_| self.in_group) {
+            let message =
+                "a shape that shines cannot stand in a shapegroup: lights cannot be instanced; place it itself";
+            return Err(properties.error(span, message));
+        }
         let radiance = light.map(|light| self.area_light(light, properties)).transpose()?;
         let bsdf = match properties.child(Tag::Bsdf)? {
             Some(id) => self.bsdf(id)?,
@@ -192,6 +251,47 @@ fn sphere(loader: &mut Loader, properties: &Properties) -> Result<()> {
 fn disk(loader: &mut Loader, properties: &Properties) -> Result<()> {
     let to_world = properties.transform("to_world")?;
     loader.add(properties, None, PlacedGeometry::Disk { to_world, flip_normals: properties.boolean("flip_normals") })
+}
+
+fn cylinder(loader: &mut Loader, properties: &Properties) -> Result<()> {
+    let radius = properties.float_in("radius", f64::MIN_POSITIVE.., "above 0")?;
+    let (p0, p1) = (properties.vector("p0")?, properties.vector("p1")?);
+    let length = (p1 - p0).length();
+    let Some(axis) = (p1 - p0).try_normalize() else {
+        return Err(properties.wrong("p1", "'p0' and 'p1' are the same point, so the cylinder has no axis"));
+    };
+    let (s, t) = tangents(axis);
+    let own = DAffine3 { matrix3: DMat3::from_cols(s * radius, t * radius, axis * length), translation: p0 };
+    let to_world = properties.transform("to_world")? * own;
+    let flip_normals = properties.boolean("flip_normals");
+    loader.add(properties, None, PlacedGeometry::Cylinder { to_world, flip_normals })
+}
+
+/// A group is no shape itself: the scene passes it over, and only instances refer to it.
+fn misplaced_group(_: &mut Loader, properties: &Properties) -> Result<()> {
+    Err(super::misplaced(properties))
+}
+
+fn instance(loader: &mut Loader, properties: &Properties) -> Result<()> {
+    let group = properties.child(Tag::Shape)?;
+    let is_group = |id: &ObjectId| loader.document.object(*id).plugin == "shapegroup";
+    let Some(group) = group.filter(is_group) else {
+        let message = "an instance needs a shapegroup, and nothing else; refer to one by <ref id=\"…\"/>";
+        return Err(properties.error(&properties.object.span, message));
+    };
+    let group = loader.group(group)?;
+    let to_world = properties.transform("to_world")?;
+    loader.assembly.instances.push(PlacedInstance { group, to_world });
+    Ok(())
+}
+
+/// The two tangents that Mitsuba takes with a unit normal (Duff et al. 2017): texture coordinates begin there.
+fn tangents(n: DVec3) -> (DVec3, DVec3) {
+    let sign = 1f64.copysign(n.z);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    let s = DVec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x);
+    (s, DVec3::new(b, sign + n.y * n.y * a, -n.y))
 }
 
 /// Whether a transformation keeps angles.

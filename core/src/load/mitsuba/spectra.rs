@@ -166,6 +166,10 @@ impl Loader<'_> {
                 let scale = (f64::from(scale) * factor) as f32;
                 self.assembly.texture(Texture::Bitmap { image, to_uv, filter, wrap, scale })
             }
+            Some(Texture::MeshAttribute { name, scale }) => {
+                let scale = (f64::from(scale) * factor) as f32;
+                self.assembly.texture(Texture::MeshAttribute { name, scale })
+            }
             None => id,
         }
     }

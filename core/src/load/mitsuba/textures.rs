@@ -5,10 +5,11 @@ use super::document::{ObjectId, Property, Value};
 use super::plugins::{Build, Meaning, Plugin, Takes, parameter, unmodelled};
 use super::properties::Properties;
 use super::{spectrum, values};
+use crate::load::assembly::ShownAttribute;
 use crate::load::error::Result;
 use crate::load::folder::TEXT_BYTES_MAX;
 use crate::load::image;
-use crate::scene::{FilterType, Texture, TextureId, WrapMode};
+use crate::scene::{Attribute, FilterType, Texture, TextureId, WrapMode};
 use glam::{Affine2, DVec3, Mat2, Vec2};
 
 pub(crate) const PLUGINS: &[Plugin] = &[
@@ -35,6 +36,15 @@ pub(crate) const PLUGINS: &[Plugin] = &[
             parameter("to_uv", Takes::Transform, "Applied to the surface's texture coordinates first."),
         ],
         build: Build::Texture(checkerboard),
+    },
+    Plugin {
+        name: "mesh_attribute",
+        doc: "Values that a mesh has at its vertices or on its faces; only PLY files have them.",
+        parameters: &[
+            parameter("name", Takes::Text(None), "The attribute's name; it begins with `vertex_` or `face_`."),
+            parameter("scale", Takes::Float(Some(1.0)), "Factor on every value."),
+        ],
+        build: Build::Texture(mesh_attribute),
     },
 ];
 
@@ -181,6 +191,22 @@ fn checkerboard(loader: &mut Loader, properties: &Properties, meaning: Meaning) 
     }
     let to_uv = to_uv(properties)?;
     Ok(loader.assembly.texture(Texture::Checkerboard { color0, color1, to_uv }))
+}
+
+fn mesh_attribute(loader: &mut Loader, properties: &Properties, meaning: Meaning) -> Result<TextureId> {
+    let name = properties.required_text("name")?;
+    if ![Attribute::AT_VERTICES, Attribute::ON_FACES].iter().any(|prefix| name.starts_with(prefix)) {
+        let message = format!("'{name}' is no name of an attribute: it must begin with vertex_ or face_");
+        return Err(properties.wrong("name", message));
+    }
+    let place = loader.document.place(properties.get("name").map_or(&properties.object.span, |p| &p.span));
+    loader.assembly.shown_attributes.push(ShownAttribute {
+        name: name.to_owned(),
+        is_number: meaning == Meaning::Scalar,
+        place,
+    });
+    let scale = properties.float("scale")? as f32;
+    Ok(loader.assembly.texture(Texture::MeshAttribute { name: name.to_owned(), scale }))
 }
 
 /// The upper left of the 3D transformation that a scene file has.
