@@ -102,6 +102,9 @@ struct PictureFlags {
     /// Sets a value that the scene names $NAME, above its own default
     #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
     defines: Vec<(String, String)>,
+    /// Replaces or leaves out what tilecast does not have, and lists it, instead of failing
+    #[arg(long)]
+    substitute: bool,
     /// Samples a pixel [default: the scene's]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     spp: Option<u32>,
@@ -247,6 +250,9 @@ struct InfoFlags {
     /// Sets a value that the scene names $NAME, above its own default
     #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
     defines: Vec<(String, String)>,
+    /// Replaces or leaves out what tilecast does not have, and lists it, instead of failing
+    #[arg(long)]
+    substitute: bool,
     /// One JSON object
     #[arg(long)]
     json: bool,
@@ -269,7 +275,9 @@ impl Cli {
                 Task::Status(Status { connector: connect.ready()?, json })
             }
             Command::Cancel(CancelFlags { connect, job }) => Task::Cancel(Cancel { connector: connect.ready()?, job }),
-            Command::Info(InfoFlags { scene, defines, json }) => Task::Info(Info { scene, defines, json }),
+            Command::Info(InfoFlags { scene, defines, substitute, json }) => {
+                Task::Info(Info { scene, defines, substitute, json })
+            }
         })
     }
 }
@@ -321,7 +329,7 @@ impl PictureFlags {
             sampler: self.sampler.map(Into::into),
             max_depth: self.max_depth.map(|depth| depth.0),
         };
-        Picture { scene: self.scene, defines: self.defines, overrides }
+        Picture { scene: self.scene, defines: self.defines, substitute: self.substitute, overrides }
     }
 }
 

@@ -20,6 +20,8 @@ pub struct Info {
     pub scene: PathBuf,
     /// Values for its `$names`.
     pub defines: Vec<(String, String)>,
+    /// Whether what tilecast does not have is replaced; else it is an error.
+    pub substitute: bool,
     /// As JSON.
     pub json: bool,
 }
@@ -45,7 +47,10 @@ struct Facts {
     /// What this machine would trace with.
     isa: &'static str,
     settings: Settings,
+    /// What was read and has no effect, or was left out.
     notes: Vec<String>,
+    /// What was replaced because that was asked for.
+    substitutions: Vec<String>,
 }
 
 #[derive(Serialize)]
@@ -84,8 +89,8 @@ struct ImageFacts {
 ///
 /// # Errors
 /// What is wrong with the scene's files.
-pub async fn run(Info { scene, defines, json }: Info) -> anyhow::Result<()> {
-    let picture = Picture { scene, defines, overrides: Overrides::default() };
+pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Result<()> {
+    let picture = Picture { scene, defines, substitute, overrides: Overrides::default() };
     let facts = tokio::task::spawn_blocking(move || anyhow::Ok(facts(picture.load()?))).await;
     let facts = facts.context("loading panicked")??;
     if json {
@@ -96,7 +101,7 @@ pub async fn run(Info { scene, defines, json }: Info) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
+fn facts(Ready { scene, blobs, settings, notes, substitutions }: Ready) -> Facts {
     let triangles_of = |shapes: &[Shape]| -> usize {
         shapes.iter().filter_map(|shape| mesh_of(&scene, &shape.geometry)).map(|mesh| mesh.triangles.len()).sum()
     };
@@ -132,6 +137,7 @@ fn facts(Ready { scene, blobs, settings, notes }: Ready) -> Facts {
         isa: Isa::detect().name(),
         settings,
         notes,
+        substitutions,
     }
 }
 
@@ -232,6 +238,7 @@ fn text(facts: &Facts) -> String {
         lines.insert(2, line);
     }
     lines.extend(facts.images.iter().map(|i| format!("image      {}x{}, {} bytes", i.width, i.height, i.bytes)));
+    lines.extend(facts.substitutions.iter().map(|text| format!("replaced   {text}")));
     lines.extend(facts.notes.iter().map(|note| format!("note       {note}")));
     lines.join("\n")
 }

@@ -1,9 +1,10 @@
 //! A scene file and what the command line changes of it, made into what is rendered.
 
 use crate::flags::Usage;
+use crate::report::Report;
 use std::path::PathBuf;
 use std::sync::Arc;
-use tilecast_core::load::{LoadOptions, Loaded, load};
+use tilecast_core::load::{LoadOptions, Loaded, Note, load};
 use tilecast_core::scene::{Scene, SceneBlobs};
 use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window};
 
@@ -14,6 +15,8 @@ pub struct Picture {
     pub scene: PathBuf,
     /// Values for its `$names`.
     pub defines: Vec<(String, String)>,
+    /// Whether what tilecast does not have is replaced; else it is an error.
+    pub substitute: bool,
     /// What is to be otherwise than the file says.
     pub overrides: Overrides,
 }
@@ -49,6 +52,16 @@ pub struct Ready {
     pub settings: Settings,
     /// What the scene's author should know.
     pub notes: Vec<String>,
+    /// What was replaced or left out, if that was allowed.
+    pub substitutions: Vec<String>,
+}
+
+impl Ready {
+    /// Tells of replacements and of what has no effect.
+    pub fn tell(&self, report: &mut Report) {
+        self.substitutions.iter().for_each(|text| report.substituted(text));
+        self.notes.iter().for_each(|note| report.note(note));
+    }
 }
 
 impl Picture {
@@ -57,13 +70,14 @@ impl Picture {
     /// # Errors
     /// What is wrong with the scene's files, or overrides that do not fit it.
     pub fn load(&self) -> anyhow::Result<Ready> {
-        let options = LoadOptions { defines: self.defines.clone() };
-        let Loaded { scene, mut settings, notes } = load(&self.scene, &options)?;
+        let options = LoadOptions { defines: self.defines.clone(), substitute: self.substitute };
+        let Loaded { scene, mut settings, notes, substitutions } = load(&self.scene, &options)?;
         self.overrides.apply(&mut settings)?;
         settings.validate()?;
         let blobs = scene.blobs();
-        let notes = notes.iter().map(ToString::to_string).collect();
-        Ok(Ready { scene: Arc::new(scene), blobs, settings, notes })
+        let told = |notes: &[Note]| notes.iter().map(ToString::to_string).collect();
+        let (notes, substitutions) = (told(&notes), told(&substitutions));
+        Ok(Ready { scene: Arc::new(scene), blobs, settings, notes, substitutions })
     }
 }
 

@@ -62,7 +62,7 @@ pub async fn run(render: Render) -> anyhow::Result<()> {
     let mut report = Report::new(render.style);
     let picture = render.picture.clone();
     let ready = unless_stopped(&stop, spawn_blocking(move || picture.load())).await?.context("loading panicked")??;
-    ready.notes.iter().for_each(|note| report.note(note));
+    ready.tell(&mut report);
     let mut cluster = match render.backend {
         Backend::Here { threads } => {
             let scene = Arc::clone(&ready.scene);

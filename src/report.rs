@@ -41,6 +41,9 @@ enum Event<'a> {
     Note {
         text: &'a str,
     },
+    Substituted {
+        text: &'a str,
+    },
     Warning {
         text: &'a str,
     },
@@ -99,6 +102,11 @@ impl Report {
     /// Something the scene's author should know.
     pub fn note(&mut self, text: &str) {
         self.say(&Event::Note { text }, || format!("note: {text}"));
+    }
+
+    /// Something of the scene was replaced or left out.
+    pub fn substituted(&mut self, text: &str) {
+        self.say(&Event::Substituted { text }, || format!("substituted: {text}"));
     }
 
     /// Something went wrong that does not end the render.

@@ -37,7 +37,7 @@ pub async fn run(submit: Submit) -> anyhow::Result<()> {
     let (picture, name) = (submit.picture.clone(), name(&submit.picture));
     let load = tokio::task::spawn_blocking(move || picture.load());
     let ready = unless_stopped(&stop, load).await?.context("loading panicked")??;
-    ready.notes.iter().for_each(|note| report.note(note));
+    ready.tell(&mut report);
     unless_stopped(&stop, client.upload(&ready.scene, &ready.blobs)).await??;
     let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
     let job = JobSpec { scene, settings, tile: submit.tile, name, workers_hold_scene: false };

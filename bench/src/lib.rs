@@ -24,7 +24,7 @@ const TILE: u32 = 16;
 /// # Errors
 /// What the loader refuses.
 pub fn compile(scene: &Path, defines: &[(String, String)]) -> anyhow::Result<(Arc<World>, Settings)> {
-    let options = LoadOptions { defines: defines.to_vec() };
+    let options = LoadOptions { defines: defines.to_vec(), ..LoadOptions::default() };
     let loaded = load(scene, &options).with_context(|| format!("loading {}", scene.display()))?;
     Ok((Arc::new(World::compile(&loaded.scene)), loaded.settings))
 }

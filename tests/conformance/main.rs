@@ -103,7 +103,7 @@ fn stems(inside: &str, ending: &str) -> Vec<String> {
 /// Renders a scene and compares it with its reference.
 fn judge(name: &str, defines: &[(String, String)]) -> Result<Comparison, Box<dyn Error + Send + Sync>> {
     let reference = Reference::read(&folder().join(format!("references/{name}.exr")))?;
-    let options = LoadOptions { defines: defines.to_vec() };
+    let options = LoadOptions { defines: defines.to_vec(), ..LoadOptions::default() };
     let loaded = load(&folder().join(format!("scenes/{name}.xml")), &options)?;
     let world = Arc::new(World::compile(&loaded.scene));
     let images = (0..SEEDS)

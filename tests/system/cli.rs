@@ -61,6 +61,28 @@ fn info_counts_what_is_there() {
     assert!(outcome.stdout.contains("32 triangles") && outcome.stdout.contains("3 a pixel"), "{}", outcome.stdout);
 }
 
+/// Without the flag it is an error that names it; with it there is a picture, and both ways of telling list what is not in it.
+#[test]
+fn what_is_not_supported_is_an_error_or_listed() {
+    let folder = Folder::new();
+    let text = "<scene version=\"3.0.0\">\n<emitter type=\"sunsky\"/>\n<shape type=\"sphere\"><bsdf type=\"hair\"/></shape>\n\
+                <emitter type=\"constant\"/></scene>";
+    folder.write("odd.xml", text);
+    let refused = folder.tilecast(["render", "odd.xml"].iter().chain(&SMALL));
+    assert_eq!(refused.code, Some(1));
+    assert!(refused.stderr.contains("'sunsky' is not supported yet") && refused.stderr.contains("--substitute"));
+    let lines = folder.tilecast(["render", "odd.xml", "--substitute"].iter().chain(&SMALL));
+    assert_eq!(lines.code, Some(0), "{}", lines.stderr);
+    assert!(lines.stderr.contains("substituted: ") && lines.stderr.contains("odd.xml:3: "), "{}", lines.stderr);
+    let events = folder.tilecast(["render", "odd.xml", "--substitute", "--json"].iter().chain(&SMALL)).events();
+    let listed: Vec<&str> =
+        events.iter().filter(|e| e["event"] == "substituted").filter_map(|e| e["text"].as_str()).collect();
+    assert_eq!(listed.len(), 2, "{listed:?}");
+    let facts = folder.tilecast(["info", "odd.xml", "--substitute", "--json"]).events();
+    assert_eq!(facts[0]["substitutions"].as_array().map(Vec::len), Some(2));
+    assert_eq!(folder.tilecast(["info", "odd.xml"]).code, Some(1));
+}
+
 #[test]
 fn a_signal_ends_a_render_without_a_file() {
     for name in ["INT", "TERM"] {

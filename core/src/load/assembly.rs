@@ -233,7 +233,7 @@ impl Assembly {
         scene.validate().map_err(|e| LoadError::new(e.to_string()))?;
         settings.scale_exponent = scale_exponent(scene.brightest_radiance());
         settings.validate().map_err(|e| LoadError::new(e.to_string()))?;
-        Ok(Loaded { scene, settings, notes: self.notes })
+        Ok(Loaded { scene, settings, notes: self.notes, substitutions: Vec::new() })
     }
 
     fn read_meshes(&self) -> Result<Vec<Arc<FileMesh>>> {

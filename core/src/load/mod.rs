@@ -26,6 +26,8 @@ use std::path::Path;
 pub struct LoadOptions {
     /// Values for the scene's `$names`, as `-D name=value` gives them; they win over its defaults.
     pub defines: Vec<(String, String)>,
+    /// Whether plugins and parameters that tilecast does not have are replaced or left out; else they are errors.
+    pub substitute: bool,
 }
 
 /// A scene that is ready to render.
@@ -37,6 +39,8 @@ pub struct Loaded {
     pub settings: Settings,
     /// What its author should know: what was read and has no effect, what was left out.
     pub notes: Vec<Note>,
+    /// What was replaced or left out because [`LoadOptions::substitute`] asked for it.
+    pub substitutions: Vec<Note>,
 }
 
 /// Something about a file that is no error. `Display` gives `file:line: text`.

@@ -9,6 +9,7 @@ mod hostile;
 mod lights_and_cameras;
 mod mitsuba;
 mod obj;
+mod substitutes;
 
 use std::path::Path;
 use tilecast_core::load::{LoadError, LoadOptions, Loaded, load};
@@ -36,7 +37,7 @@ fn write_files(folder: &Path, files: &[(&str, &[u8])]) {
 
 fn load_with(path: &Path, defines: &[(&str, &str)]) -> Result<Loaded, LoadError> {
     let defines = defines.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect();
-    load(path, &LoadOptions { defines })
+    load(path, &LoadOptions { defines, ..LoadOptions::default() })
 }
 
 /// A scene of what stands inside `<scene>`, with a triangle `a.obj` and `a.ply` beside it.

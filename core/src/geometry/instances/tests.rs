@@ -120,7 +120,7 @@ fn instances_are_where_copies_would_be() {
         assert!(a.normal.dot(b.normal).abs() > 0.9999, "{a:?} {b:?}");
         hits += 1;
     }
-    assert!(hits > 5000 && other < hits / 1000, "{hits} alike, {other} not");
+    assert!(hits > 1000 && other <= 1, "{hits} alike, {other} not");
 }
 
 /// The same bits on every path; the order in which instances are listed does not matter, and of two in the same place the
@@ -128,7 +128,7 @@ fn instances_are_where_copies_would_be() {
 #[test]
 fn hits_do_not_depend_on_path_or_order() {
     let places: Vec<Affine3> = (0..60).map(|i| place(i / 2, 1.0)).collect();
-    let rays = rays(4000, 1.0);
+    let rays = rays(20_000, 1.0);
     let forwards = geometry(&scene(ball(6), &places));
     let bits = |answers: Vec<(Option<Hit>, bool)>| -> Vec<(u32, u32, bool)> {
         let of = |hit: Option<Hit>| match hit {

@@ -17,6 +17,7 @@ mod sensors;
 mod shapes;
 mod spectra;
 pub(crate) mod spectrum;
+mod stand_in;
 mod substitute;
 mod textures;
 mod transform;
@@ -47,7 +48,8 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<Loaded> {
     let Some(name) = path.file_name() else {
         return Err(LoadError::at(Place::file(path.display().to_string()), "this is no file"));
     };
-    let document = xml::read(&folder, Path::new(name), bytes, &options.defines)?;
+    let mut document = xml::read(&folder, Path::new(name), bytes, &options.defines)?;
+    let substitutions = if options.substitute { stand_in::apply(&mut document) } else { Vec::new() };
     let loader = Loader {
         document: &document,
         assembly: Assembly::new(folder),
@@ -58,7 +60,7 @@ pub(crate) fn load(path: &Path, options: &LoadOptions) -> Result<Loaded> {
         groups: HashMap::new(),
         in_group: false,
     };
-    loader.scene()
+    loader.scene().map(|loaded| Loaded { substitutions, ..loaded })
 }
 
 /// A document on its way into an assembly.

@@ -164,7 +164,8 @@ pub(crate) fn find(tag: Tag, name: &str) -> std::result::Result<&'static Plugin,
         list => format!("there are {}", list.join(", ")),
     };
     Err(if missing().any(|other| other == name) {
-        format!("Mitsuba's {} '{name}' is not supported yet; {supported}", tag.name())
+        let way_out = if tag == Tag::Sensor { "" } else { "; `--substitute` renders without it" };
+        format!("Mitsuba's {} '{name}' is not supported yet; {supported}{way_out}", tag.name())
     } else {
         format!("no {} is called '{name}'{}; {supported}", tag.name(), did_you_mean(name, known().chain(missing())))
     })

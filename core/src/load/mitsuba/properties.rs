@@ -35,7 +35,10 @@ impl<'a> Properties<'a> {
     }
 
     /// The parameter that a property sets.
-    fn check(&self, property: &Property) -> Result<&'static Parameter> {
+    ///
+    /// # Errors
+    /// A name that the plugin does not have, or a value of another type.
+    pub fn check(&self, property: &Property) -> Result<&'static Parameter> {
         let parameters = self.plugin.parameters;
         let child = match property.value {
             Value::Object(child) => Some(self.document.object(child).tag),
