@@ -74,6 +74,8 @@ fn scene(sensor: Sensor, albedo: f32, shapes: Vec<Shape>) -> Scene {
         shapes,
         bsdfs: vec![Bsdf::Diffuse { reflectance: TextureId(0) }],
         textures: vec![Texture::Constant(Vec3::splat(albedo)), Texture::Constant(Vec3::ONE)],
+        groups: Vec::new(),
+        instances: Vec::new(),
         emitters: Vec::new(),
         meshes: Vec::new(),
         images: Vec::new(),

@@ -208,10 +208,10 @@ impl Assembly {
         let emitters = self.emitters.iter().map(|emitter| emitter.to_scene(origin, aspect)).collect();
         let mut kept = Kept { ids: vec![None; meshes.len()], meshes: Vec::new() };
         let shapes = std::mem::take(&mut self.shapes);
-        let shapes = self.to_scene(shapes, &meshes, origin, &mut kept);
+        let shapes = self.kept_shapes(shapes, &meshes, origin, &mut kept);
         let groups = std::mem::take(&mut self.groups).into_iter().zip(&space.of_groups);
         let groups = groups
-            .map(|(shapes, origin)| Group { shapes: self.to_scene(shapes, &meshes, *origin, &mut kept) })
+            .map(|(shapes, origin)| Group { shapes: self.kept_shapes(shapes, &meshes, *origin, &mut kept) })
             .collect();
         let instance = |PlacedInstance { group, to_world }: &PlacedInstance| {
             let to_world = *to_world * DAffine3::from_translation(space.of_groups[*group]);
@@ -338,7 +338,7 @@ impl Assembly {
     }
 
     /// Shapes with an origin; those without any triangle are left out, and the meshes of the others are kept.
-    fn to_scene(
+    fn kept_shapes(
         &mut self,
         placed: Vec<PlacedShape>,
         meshes: &[Arc<Mesh>],

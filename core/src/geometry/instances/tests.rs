@@ -52,7 +52,7 @@ fn place(i: u32, scale: f32) -> Affine3 {
     let at = |k: u32| Sampler::new(SamplerKind::Independent, 7, i, k, 0).film();
     let (a, b, c) = (at(0), at(1), at(2));
     let rotation = Mat3::from_quat(Quat::from_xyzw(a.x - 0.5, a.y - 0.5, b.x - 0.5, b.y + 0.1).normalize());
-    let mirror = if i % 3 == 0 { -1.0 } else { 1.0 };
+    let mirror = if i.is_multiple_of(3) { -1.0 } else { 1.0 };
     let matrix3 = rotation * Mat3::from_diagonal(Vec3::new(mirror * (0.3 + c.x), 0.5, 0.3 + c.y) * scale);
     Affine3 { matrix3, translation: (Vec3::new(a.x, c.y, b.x) * 20.0 - 10.0) * scale }
 }
