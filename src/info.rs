@@ -91,7 +91,7 @@ struct ImageFacts {
 /// What is wrong with the scene's files.
 pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Result<()> {
     let picture = Picture { scene, defines, substitute, overrides: Overrides::default() };
-    let facts = tokio::task::spawn_blocking(move || anyhow::Ok(facts(picture.load()?))).await;
+    let facts = tokio::task::spawn_blocking(move || picture.load().map(|(scene, ready)| facts(&scene, ready))).await;
     let facts = facts.context("loading panicked")??;
     if json {
         print(&facts);
@@ -101,9 +101,9 @@ pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Res
     Ok(())
 }
 
-fn facts(Ready { scene, blobs, settings, notes, substitutions }: Ready) -> Facts {
+fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions }: Ready) -> Facts {
     let triangles_of = |shapes: &[Shape]| -> usize {
-        shapes.iter().filter_map(|shape| mesh_of(&scene, &shape.geometry)).map(|mesh| mesh.triangles.len()).sum()
+        shapes.iter().filter_map(|shape| mesh_of(scene, &shape.geometry)).map(|mesh| mesh.triangles.len()).sum()
     };
     let triangles = scene.levels().map(triangles_of).sum();
     let of_groups: Vec<usize> = scene.groups.iter().map(|group| triangles_of(&group.shapes)).collect();
@@ -113,7 +113,7 @@ fn facts(Ready { scene, blobs, settings, notes, substitutions }: Ready) -> Facts
         .map(|image| ImageFacts { width: image.width, height: image.height, bytes: image.bytes() })
         .collect();
     let begun = Instant::now();
-    let world = World::compile(&scene);
+    let world = World::compile(scene);
     let build_seconds = begun.elapsed().as_secs_f64();
     let Stats { nodes, blocks, bytes, sah_cost } = world.geometry.triangle_stats();
     let area_lights = scene.shapes.iter().filter(|shape| shape.radiance.is_some()).map(|_| "area");

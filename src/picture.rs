@@ -3,7 +3,6 @@
 use crate::flags::Usage;
 use crate::report::Report;
 use std::path::PathBuf;
-use std::sync::Arc;
 use tilecast_core::load::{LoadOptions, Loaded, Note, load};
 use tilecast_core::scene::{Scene, SceneBlobs};
 use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window};
@@ -44,8 +43,6 @@ pub struct Overrides {
 
 /// A picture that can be rendered.
 pub struct Ready {
-    /// What there is.
-    pub scene: Arc<Scene>,
     /// The scene's digest, manifest and parts.
     pub blobs: SceneBlobs,
     /// How it is rendered, checked.
@@ -65,11 +62,11 @@ impl Ready {
 }
 
 impl Picture {
-    /// Loads the scene, applies the overrides and hashes the whole. Blocks.
+    /// Loads the scene, applies the overrides and hashes the whole. Blocks. The scene comes apart, so that it can be let go of.
     ///
     /// # Errors
     /// What is wrong with the scene's files, or overrides that do not fit it.
-    pub fn load(&self) -> anyhow::Result<Ready> {
+    pub fn load(&self) -> anyhow::Result<(Scene, Ready)> {
         let options = LoadOptions { defines: self.defines.clone(), substitute: self.substitute };
         let Loaded { scene, mut settings, notes, substitutions } = load(&self.scene, &options)?;
         self.overrides.apply(&mut settings)?;
@@ -77,7 +74,7 @@ impl Picture {
         let blobs = scene.blobs();
         let told = |notes: &[Note]| notes.iter().map(ToString::to_string).collect();
         let (notes, substitutions) = (told(&notes), told(&substitutions));
-        Ok(Ready { scene: Arc::new(scene), blobs, settings, notes, substitutions })
+        Ok((scene, Ready { blobs, settings, notes, substitutions }))
     }
 }
 

@@ -10,6 +10,7 @@ use crate::stop::{on_signal, unless_stopped};
 use anyhow::{Context, anyhow};
 use std::sync::Arc;
 use tilecast_core::bvh::simd::Isa;
+use tilecast_core::scene::Scene;
 use tilecast_core::world::World;
 use tilecast_proto::client::Client;
 use tilecast_proto::transport::{Connector, Memory, tcp_incoming};
@@ -61,18 +62,20 @@ pub async fn run(render: Render) -> anyhow::Result<()> {
     let stop = on_signal()?;
     let mut report = Report::new(render.style);
     let picture = render.picture.clone();
-    let ready = unless_stopped(&stop, spawn_blocking(move || picture.load())).await?.context("loading panicked")??;
+    let load = spawn_blocking(move || picture.load());
+    let (scene, ready) = unless_stopped(&stop, load).await?.context("loading panicked")??;
     ready.tell(&mut report);
-    let mut cluster = match render.backend {
+    let (mut cluster, to_upload) = match render.backend {
         Backend::Here { threads } => {
-            let scene = Arc::clone(&ready.scene);
-            let compile = spawn_blocking(move || World::compile(&scene));
+            let compile = spawn_blocking(move || World::consume(scene));
             let world = unless_stopped(&stop, compile).await?.context("preparing the scene panicked")?;
-            Cluster::here(world, &ready, threads, render.isa)
+            (Cluster::here(world, &ready, threads, render.isa), None)
         }
-        Backend::Processes { workers, threads } => Cluster::processes(workers, threads, render.isa).await?,
+        Backend::Processes { workers, threads } => {
+            (Cluster::processes(workers, threads, render.isa).await?, Some(Arc::new(scene)))
+        }
     };
-    let result = cluster.render(&ready, &render, &mut report, &stop).await;
+    let result = cluster.render(&ready, to_upload, &render, &mut report, &stop).await;
     cluster.end().await;
     result
 }
@@ -126,14 +129,15 @@ impl Cluster {
     async fn render(
         &mut self,
         ready: &Ready,
+        to_upload: Option<Arc<Scene>>,
         render: &Render,
         report: &mut Report,
         stop: &CancellationToken,
     ) -> anyhow::Result<()> {
-        let workers_hold_scene = matches!(self.workers, Workers::Here(_));
+        let workers_hold_scene = to_upload.is_none();
         let client = Client::connect(&self.connector).await?;
-        if !workers_hold_scene {
-            unless_stopped(stop, client.upload(&ready.scene, &ready.blobs)).await??;
+        if let Some(scene) = to_upload {
+            unless_stopped(stop, client.upload(&scene, &ready.blobs)).await??;
         }
         let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
         let job = JobSpec { scene, settings, tile: render.tile, name: String::new(), workers_hold_scene };

@@ -1,6 +1,6 @@
 //! A scene compiled for tracing.
 
-use crate::geometry::Geometry;
+use crate::geometry::{Geometry, Meshes};
 use crate::lights::Lights;
 use crate::scene::{Scene, Sensor};
 use crate::shading::Materials;
@@ -23,10 +23,17 @@ pub struct World {
 impl World {
     /// Compiles a scene that [`Scene::validate`] has passed, on the current rayon pool.
     pub fn compile(scene: &Scene) -> Self {
-        let textures = Textures::new(scene);
-        let geometry = Geometry::new(scene, &Lights::first_of_shapes(scene));
-        let lights = Lights::new(scene, &geometry, &textures);
-        let materials = Materials::new(scene);
-        Self { geometry, materials, textures, lights, sensor: scene.sensor.clone() }
+        Self::consume(scene.clone())
+    }
+
+    /// As [`World::compile`], with less memory: meshes that nobody else holds are freed as soon as they are laid out.
+    pub fn consume(mut scene: Scene) -> Self {
+        let textures = Textures::new(&scene);
+        let first_lights = Lights::first_of_shapes(&scene);
+        let meshes = std::mem::take(&mut scene.meshes);
+        let geometry = Geometry::lay_out(&scene, Meshes::new(&scene, meshes), &first_lights);
+        let lights = Lights::new(&scene, &geometry, &textures);
+        let materials = Materials::new(&scene);
+        Self { geometry, materials, textures, lights, sensor: scene.sensor }
     }
 }

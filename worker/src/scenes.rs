@@ -145,7 +145,7 @@ fn compile(
 ) -> Result<Arc<World>, PrepareError> {
     let blob = |part: &Digest| blobs.get(part).cloned().ok_or(PrepareError::Damaged(*part));
     let scene = Scene::from_blobs(manifest, blob)?;
-    let world = Arc::new(World::compile(&scene));
+    let world = Arc::new(World::consume(scene));
     cache.keep(Kept { digest, world: Arc::clone(&world), blobs });
     Ok(world)
 }

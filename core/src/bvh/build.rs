@@ -61,13 +61,16 @@ struct Binary {
 type BinaryTree = Vec<Binary>;
 
 fn binary_tree(boxes: &[Aabb]) -> BinaryTree {
-    let bounds: Vec<obvhs::aabb::Aabb> =
-        boxes.iter().map(|b| obvhs::aabb::Aabb::new(b.min.into(), b.max.into())).collect();
     let indices = (0..boxes.len() as u32).collect();
-    let mut tree = PlocBuilder::new().build(PlocSearchDistance::Medium, &bounds, indices, SortPrecision::U64, 1);
-    drop(bounds);
+    let mut tree = PlocBuilder::new().build(PlocSearchDistance::Medium, boxes, indices, SortPrecision::U64, 1);
     ReinsertionOptimizer::default().run(&mut tree, 0.2, None);
     parents_first(&tree)
+}
+
+impl obvhs::Boundable for Aabb {
+    fn aabb(&self) -> obvhs::aabb::Aabb {
+        obvhs::aabb::Aabb::new(self.min.into(), self.max.into())
+    }
 }
 
 fn parents_first(tree: &Bvh2) -> BinaryTree {

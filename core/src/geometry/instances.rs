@@ -4,7 +4,7 @@
 //! does not depend on the hierarchy, for the reason that it does not among triangles: an instance counts only where the ray
 //! passes its box, and is hit no nearer than the entry into it.
 
-use super::{Geometry, Hit, Memory};
+use super::{Geometry, Hit, Memory, Meshes};
 use crate::bvh::simd::{Floats, Kernel, Lanes};
 use crate::bvh::{Aabb, Built, Bvh8, Leaf, LeafCost, Leaves, Ray, Slabs};
 use crate::frame::Frame;
@@ -34,11 +34,11 @@ const LEAF_COST: LeafCost = LeafCost { max_count: 1, block: 1, block_cost: 8.0 }
 
 impl Instances {
     /// Of a scene that has some; shapes of groups are numbered after those that stand in the scene itself, group by group.
-    pub fn new(scene: &Scene) -> Self {
+    pub fn new(scene: &Scene, meshes: &mut Meshes) -> Self {
         let mut first_shape = scene.shapes.len() as u32;
         let mut groups = Vec::with_capacity(scene.groups.len());
         for group in &scene.groups {
-            groups.push(Geometry::level(scene, &group.shapes, &vec![None; group.shapes.len()], first_shape));
+            groups.push(Geometry::level(meshes, &group.shapes, &vec![None; group.shapes.len()], first_shape));
             first_shape += group.shapes.len() as u32;
         }
         let boxes: Vec<Aabb> = groups.iter().map(Geometry::bounds_of_all).collect();

@@ -1,16 +1,19 @@
 //! All surfaces of a scene, laid out for tracing: what a ray hits, and the surface point there.
 
 mod instances;
+mod lists;
 mod tangents;
 
 use crate::bvh::simd::Lanes;
 use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit, triangle_bounds};
 use crate::frame::Frame;
-use crate::scene::{Geometry as Form, Scene, Shape};
+use crate::scene::{Scene, Shape};
 use crate::shape::{Analytic, AnalyticBvh};
 use crate::surface::{Surface, gamma};
 use glam::{Vec2, Vec3};
 use instances::Instances;
+use lists::Lists;
+pub use lists::Meshes;
 
 /// Stands for "none" in the tables below.
 const NONE: u32 = u32::MAX;
@@ -117,15 +120,20 @@ impl Geometry {
     /// Lays out the shapes of a scene and builds their hierarchies. `first_lights` has, for each shape that emits, the light
     /// of its first primitive.
     pub fn new(scene: &Scene, first_lights: &[Option<u32>]) -> Self {
-        let instances = (!scene.instances.is_empty()).then(|| Box::new(Instances::new(scene)));
-        Self { instances, ..Self::level(scene, &scene.shapes, first_lights, 0) }
+        Self::lay_out(scene, Meshes::new(scene, scene.meshes.clone()), first_lights)
+    }
+
+    /// As [`Geometry::new`], with the scene's meshes apart: each is let go of when it is laid out.
+    pub fn lay_out(scene: &Scene, mut meshes: Meshes, first_lights: &[Option<u32>]) -> Self {
+        let instances = (!scene.instances.is_empty()).then(|| Box::new(Instances::new(scene, &mut meshes)));
+        Self { instances, ..Self::level(&mut meshes, &scene.shapes, first_lights, 0) }
     }
 
     /// Some of the scene's shapes, the first of which has this number.
-    fn level(scene: &Scene, shapes: &[Shape], first_lights: &[Option<u32>], first_shape: u32) -> Self {
-        let mut lists = Lists::default();
+    fn level(meshes: &mut Meshes, shapes: &[Shape], first_lights: &[Option<u32>], first_shape: u32) -> Self {
+        let mut lists = Lists::with_room_for(meshes, shapes);
         for (shape, light) in shapes.iter().zip(first_lights) {
-            lists.push(scene, &shape.geometry, light.unwrap_or(NONE));
+            lists.push(meshes, &shape.geometry, light.unwrap_or(NONE));
         }
         let triangle_count = lists.triangles.len() as u32;
         for table in lists.shapes.iter_mut().filter(|t| t.first_vertex == NONE) {
@@ -398,54 +406,5 @@ impl ShapeTable {
     #[inline(always)]
     fn light_of(&self, primitive: u32) -> Option<u32> {
         (self.first_light != NONE).then(|| self.first_light + (primitive - self.first_primitive))
-    }
-}
-
-/// The common lists while they grow.
-#[derive(Default)]
-struct Lists {
-    positions: Vec<Vec3>,
-    normals: Vec<Vec3>,
-    uvs: Vec<Vec2>,
-    triangles: Vec<[u32; 3]>,
-    triangle_shapes: Vec<u32>,
-    analytic: Vec<Analytic>,
-    analytic_shapes: Vec<u32>,
-    shapes: Vec<ShapeTable>,
-}
-
-impl Lists {
-    fn push(&mut self, scene: &Scene, geometry: &Form, first_light: u32) {
-        let shape = self.shapes.len() as u32;
-        let mut table = ShapeTable {
-            first_primitive: self.triangles.len() as u32,
-            primitives: 1,
-            first_vertex: NONE,
-            first_normal: NONE,
-            first_uv: NONE,
-            first_light,
-        };
-        if let Form::Mesh(id) = geometry {
-            let mesh = &scene.meshes[id.0 as usize];
-            let first = self.positions.len() as u32;
-            table.first_vertex = first;
-            table.primitives = mesh.triangles.len() as u32;
-            if !mesh.normals.is_empty() {
-                table.first_normal = self.normals.len() as u32;
-                self.normals.extend(&mesh.normals);
-            }
-            if !mesh.uvs.is_empty() {
-                table.first_uv = self.uvs.len() as u32;
-                self.uvs.extend(&mesh.uvs);
-            }
-            self.positions.extend(&mesh.positions);
-            self.triangles.extend(mesh.triangles.iter().map(|t| t.map(|i| i + first)));
-            self.triangle_shapes.resize(self.triangles.len(), shape);
-        } else if let Some(analytic) = Analytic::new(geometry) {
-            table.first_primitive = self.analytic.len() as u32; // moved behind the triangles once they are counted
-            self.analytic.push(analytic);
-            self.analytic_shapes.push(shape);
-        }
-        self.shapes.push(table);
     }
 }

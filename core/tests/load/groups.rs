@@ -55,7 +55,7 @@ fn cylinders_by_their_axis() {
     let (min, max) = loaded.scene.bounds().unwrap();
     assert!((max - min - Vec3::new(1.0, 4.0, 1.0)).length() < 1e-5);
     let same = "<shape type='cylinder'>\n<point name='p1' value='0, 0, 0'/></shape>";
-    fails(same, "3:24", &["'p0' and 'p1' are the same point"]);
+    fails(same, "3:25", &["'p0' and 'p1' are the same point"]);
 }
 
 const COLOURED: &str = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\

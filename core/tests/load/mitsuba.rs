@@ -427,7 +427,10 @@ fn every_plugin_loads_with_its_defaults() {
             (Tag::Shape, "obj" | "ply") => {
                 format!("<shape type='{name}'><string name='filename' value='a.{name}'/></shape>")
             }
-            (Tag::Texture, "bitmap") => continue,
+            (Tag::Texture, "bitmap" | "mesh_attribute") => continue,
+            (Tag::Shape, "shapegroup" | "instance") => "<shape type='shapegroup' id='g'><shape type='disk'/></shape>\
+                 <shape type='instance'><ref id='g'/></shape>"
+                .into(),
             (Tag::Bsdf, "twosided" | "mask") => {
                 format!("<shape type='disk'><bsdf type='{name}'><bsdf type='diffuse'/></bsdf></shape>")
             }

@@ -139,7 +139,7 @@ fn hits_do_not_depend_on_path_or_order() {
         answers.into_iter().map(|(hit, any)| (of(hit).0, of(hit).1, any)).collect()
     };
     let expected = bits(Isa::Portable.dispatch(Answers(&forwards, &rays)));
-    assert!(expected.iter().filter(|(i, ..)| *i != u32::MAX).count() > 1000);
+    assert!(expected.iter().filter(|(i, ..)| *i != u32::MAX).count() > 500);
     assert!(expected.iter().all(|(i, _, any)| (*i != u32::MAX) == *any && (*i == u32::MAX || i % 2 == 0)));
     for isa in Isa::available() {
         assert_eq!(bits(isa.dispatch(Answers(&forwards, &rays))), expected, "{}", isa.name());
