@@ -20,7 +20,7 @@ use tilecast_core::bvh::simd::Isa;
 use tilecast_core::settings::Window;
 use tilecast_proto::limits::{THREADS_MAX, TILE_SIDE_MAX};
 use tilecast_proto::transport::Connector;
-use values::{IntegratorName, SamplerName, StrategyName};
+use values::{IntegratorName, SamplerName, SavingName, StrategyName};
 
 /// Flags that cannot be meant as they are written, found after clap has read them: the exit code is that of usage errors.
 #[derive(Debug, thiserror::Error)]
@@ -126,6 +126,9 @@ struct PictureFlags {
     /// Where random numbers come from [default: the scene's]
     #[arg(long, value_name = "NAME")]
     sampler: Option<SamplerName>,
+    /// Switches off what saves work without changing the expected image, to measure what it gains; may be repeated
+    #[arg(long, value_name = "NAME")]
+    without: Vec<SavingName>,
     /// Longest path: 1 emitters alone, 2 direct light, -1 no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = values::max_depth, allow_negative_numbers = true)]
     max_depth: Option<values::MaxDepth>,
@@ -327,6 +330,7 @@ impl PictureFlags {
             integrator: self.integrator.map(Into::into),
             strategy: self.strategy.map(Into::into),
             sampler: self.sampler.map(Into::into),
+            without: values::without(&self.without),
             max_depth: self.max_depth.map(|depth| depth.0),
         };
         Picture { scene: self.scene, defines: self.defines, substitute: self.substitute, overrides }

@@ -5,7 +5,7 @@ use crate::report::Report;
 use std::path::PathBuf;
 use tilecast_core::load::{LoadOptions, Loaded, Note, load};
 use tilecast_core::scene::{Scene, SceneBlobs};
-use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window};
+use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window, Without};
 
 /// What is to be rendered.
 #[derive(Clone, Debug)]
@@ -37,6 +37,8 @@ pub struct Overrides {
     pub strategy: Option<Strategy>,
     /// Random numbers.
     pub sampler: Option<SamplerKind>,
+    /// What saves work and shall not.
+    pub without: Without,
     /// Longest path, or none.
     pub max_depth: Option<Option<u32>>,
 }
@@ -80,7 +82,7 @@ impl Picture {
 
 impl Overrides {
     fn apply(&self, settings: &mut Settings) -> Result<(), Usage> {
-        let Settings { film, spp, seed, integrator, strategy, sampler, .. } = settings;
+        let Settings { film, spp, seed, integrator, strategy, sampler, without, .. } = settings;
         if let Some([width, height]) = self.size {
             (film.width, film.height) = (width, height);
             film.crop = Window { x0: 0, y0: 0, x1: width, y1: height };
@@ -101,6 +103,7 @@ impl Overrides {
         set(&mut integrator.max_depth, self.max_depth);
         set(strategy, self.strategy);
         set(sampler, self.sampler);
+        *without = self.without;
         Ok(())
     }
 }

@@ -15,12 +15,17 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let scene = arguments.next().ok_or("usage: work SCENE [SPP] [SEED]")?;
     let spp: u32 = arguments.next().map_or(Ok(64), |s| s.parse())?;
+    let without: Vec<String> = std::env::args().skip(4).collect();
     let seed: u64 = arguments.next().map_or(Ok(0), |s| s.parse())?;
     let loaded = load(scene.as_ref(), &LoadOptions::default())?;
     let world = Arc::new(World::compile(&loaded.scene));
     let mut settings = loaded.settings.clone();
     settings.spp = spp;
     settings.seed = seed;
+    let off = |name: &str| without.iter().any(|w| w == name);
+    settings.without.splitting |= off("splitting");
+    settings.without.early_roulette |= off("early-roulette");
+    settings.without.blind_ends |= off("blind-ends");
     let isa = std::env::var("ISA").ok().and_then(|n| Isa::from_name(&n)).unwrap_or(Isa::detect());
     let tracer = Tracer::new(world, settings.clone(), isa)?;
     let mut film = Film::new(&settings);

@@ -12,7 +12,7 @@ use crate::bsdf::Sample;
 use crate::bvh::Ray;
 use crate::bvh::simd::Lanes;
 use crate::sampler::{Sampler, Slot};
-use crate::settings::{Integrator, IntegratorKind, Strategy};
+use crate::settings::{Integrator, IntegratorKind, Strategy, Without};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_pdf, uniform_hemisphere};
@@ -22,6 +22,16 @@ use glam::{Vec2, Vec3};
 /// The largest probability to go on under Russian roulette, so that a path in a lossless scene ends some day.
 const CONTINUATION_MAX: f32 = 0.95;
 
+/// Branches of a path. What leads to the first scattering surface costs about as much as one branch behind it and varies a
+/// tenth as much: by the ratio of both roots, three would be best in the Cornell box, and a power of two keeps points in nets.
+const BRANCHES: u32 = 4;
+
+/// Surfaces before early roulette. After the first alone it costs where that leads to bright light.
+const EARLY_DEPTH: u32 = 2;
+/// Early roulette lets a path go on with this many times its throughput. Measured from 1 to 3: less gains more where paths are
+/// long, and loses where they are cut by a depth limit anyway.
+const EARLY_CONTRIBUTION: f32 = 1.5;
+
 /// What is estimated, and how.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimator {
@@ -29,6 +39,8 @@ pub struct Estimator {
     pub integrator: Integrator,
     /// Where directions come from.
     pub strategy: Strategy,
+    /// What saves work and shall not.
+    pub without: Without,
 }
 
 /// How the ray in hand came about: what weighs an emitter that it finds.
@@ -42,67 +54,192 @@ struct Origin {
     pdf: f32,
 }
 
+/// A path as far as it has come.
+#[derive(Clone, Copy, Debug)]
+struct Path {
+    ray: Ray,
+    origin: Origin,
+    /// Segments so far.
+    depth: u32,
+    /// f |cos θ| / p of all its surfaces.
+    throughput: Vec3,
+    /// Its part in the sample: less than one behind a [`Fan`].
+    share: f32,
+    /// Product of the relative indices of refraction.
+    eta: f32,
+    /// The ray in hand is the last: only what it finds shining matters.
+    is_last: bool,
+    sampler: Sampler,
+}
+
+/// A surface that scatters a path.
+#[derive(Clone, Copy, Debug)]
+struct Vertex<'w> {
+    surface: Surface,
+    shading: Shading<'w>,
+    /// Local.
+    wo: Vec3,
+    /// A random number for what of the closure answers.
+    lobe: f32,
+}
+
+/// The branches of a path at the first surface that scatters into more than a few directions. What leads there costs as much as
+/// what follows but varies less; so what follows is sampled several times. Random numbers behind are those of so many times the
+/// samples, well distributed among all branches of all samples.
+#[derive(Clone, Copy, Debug)]
+struct Fan<'w> {
+    path: Path,
+    vertex: Vertex<'w>,
+    /// The next one.
+    branch: u32,
+}
+
+impl<'w> Fan<'w> {
+    #[inline(always)]
+    fn next(&mut self) -> Option<(Path, Vertex<'w>)> {
+        let branch = self.branch;
+        self.branch += 1;
+        // Shifted, so that each of them is as even over [0, 1) as the first, and together they are more so.
+        let lobe = self.vertex.lobe + branch as f32 * (1.0 / BRANCHES as f32);
+        let lobe = if lobe >= 1.0 { lobe - 1.0 } else { lobe };
+        let sampler = self.path.sampler.branch(branch, BRANCHES);
+        let path = Path { share: 1.0 / BRANCHES as f32, sampler, ..self.path };
+        (branch < BRANCHES).then_some((path, Vertex { lobe, ..self.vertex }))
+    }
+}
+
 impl Estimator {
     /// Radiance along a camera ray.
     #[inline(always)]
-    pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
+    pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, ray: Ray, sampler: Sampler) -> Vec3 {
         let mut radiance = Vec3::ZERO;
-        let mut throughput = Vec3::ONE;
-        let mut origin = Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY };
-        let mut eta = 1.0;
-        let max_depth = self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct);
-        let mut last_segment = max_depth.is_some_and(|max| max <= 1);
-        for depth in 0.. {
-            let hidden = depth == 0 && self.integrator.hide_emitters;
-            let surface = match next_surface(lanes, world, &mut ray, hidden, last_segment) {
-                Next::Surface(surface) => surface,
-                Next::Dark => break,
-                Next::Background => {
-                    if !hidden {
-                        radiance += throughput * self.background(world, origin, ray.direction);
-                    }
-                    break;
+        let mut path = Path {
+            ray,
+            origin: Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY },
+            depth: 0,
+            throughput: Vec3::ONE,
+            share: 1.0,
+            eta: 1.0,
+            is_last: self.max_depth().is_some_and(|max| max <= 1),
+            sampler,
+        };
+        let mut fan: Option<Fan> = None;
+        let mut next = self.arrive(lanes, world, &mut path, &mut radiance);
+        loop {
+            if let (Some(vertex), None) = (next, &fan)
+                && !self.without.splitting
+                && !vertex.shading.closure.is_delta()
+            {
+                fan = Some(Fan { path, vertex, branch: 0 });
+                next = None;
+            }
+            let vertex = match (next, &mut fan) {
+                (Some(vertex), _) => vertex,
+                (None, None) => return radiance,
+                (None, Some(fan)) => {
+                    let Some((from, vertex)) = fan.next() else { return radiance };
+                    path = from;
+                    vertex
                 }
             };
-            let wo = -ray.direction;
-            if let Some(light) = surface.light {
-                radiance += throughput * self.emitted(world, &surface, light, origin, wo);
-            }
-            if last_segment {
-                break;
-            }
-
-            sampler.at_surface(depth);
-            let mut lobe = if world.materials.has_lobes(surface.shape) { sampler.one(Slot::Lobe) } else { 0.0 };
-            let shading = world.materials.at(&world.geometry, &world.textures, &surface, wo, &mut lobe);
-            let wo = shading.frame.to_local(wo);
-            if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
-                radiance += throughput * self.direct(lanes, world, &surface, &shading, wo, sampler);
-            }
-
-            let Some(next) = self.continuation(&shading, wo, lobe, sampler.two(Slot::Direction)) else { break };
-            throughput *= next.weight;
-            eta *= next.eta;
-            last_segment = match self.integrator.kind {
-                IntegratorKind::Path => false,
-                IntegratorKind::Direct => true,
-                IntegratorKind::Whitted => !next.is_delta(),
-            } || max_depth.is_some_and(|max| depth + 2 >= max);
-            if depth + 1 >= self.integrator.rr_depth && !last_segment {
-                // The radiance scale of refraction (eta²) undoes itself when the path leaves the glass.
-                let survival = (throughput.max_element() * eta * eta).min(CONTINUATION_MAX);
-                if sampler.one(Slot::Roulette) >= survival {
-                    break;
-                }
-                throughput /= survival;
-            }
-            if throughput == Vec3::ZERO {
-                break;
-            }
-            ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
-            origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
+            next = if self.scatter(lanes, world, &vertex, &mut path, &mut radiance) {
+                self.arrive(lanes, world, &mut path, &mut radiance)
+            } else {
+                None
+            };
         }
-        radiance
+    }
+
+    /// The longest path, where it does not follow from the integrator.
+    #[inline(always)]
+    fn max_depth(&self) -> Option<u32> {
+        self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct)
+    }
+
+    /// Follows the path's ray and gains what shines there; the surface that is to scatter it, or none at the path's end.
+    #[inline(always)]
+    fn arrive<'w, L: Lanes>(
+        &self,
+        lanes: L,
+        world: &'w World,
+        path: &mut Path,
+        radiance: &mut Vec3,
+    ) -> Option<Vertex<'w>> {
+        let hidden = path.depth == 0 && self.integrator.hide_emitters;
+        let surface = match next_surface(lanes, world, &mut path.ray, hidden, path.is_last && !self.without.blind_ends)
+        {
+            Next::Surface(surface) => surface,
+            Next::Dark => return None,
+            Next::Background => {
+                if !hidden {
+                    let found = self.background(world, path.origin, path.ray.direction);
+                    *radiance += path.throughput * path.share * found;
+                }
+                return None;
+            }
+        };
+        let wo = -path.ray.direction;
+        if let Some(light) = surface.light {
+            *radiance += path.throughput * path.share * self.emitted(world, &surface, light, path.origin, wo);
+        }
+        if path.is_last {
+            return None;
+        }
+        path.sampler.at_surface(path.depth);
+        let mut lobe = if world.materials.has_lobes(surface.shape) { path.sampler.one(Slot::Lobe) } else { 0.0 };
+        let shading = world.materials.at(&world.geometry, &world.textures, &surface, wo, &mut lobe);
+        let wo = shading.frame.to_local(wo);
+        Some(Vertex { surface, shading, wo, lobe })
+    }
+
+    /// Gains light that the surface scatters, and gives the path its next ray; false where it ends.
+    #[inline(always)]
+    fn scatter<L: Lanes>(
+        &self,
+        lanes: L,
+        world: &World,
+        vertex: &Vertex,
+        path: &mut Path,
+        radiance: &mut Vec3,
+    ) -> bool {
+        let Vertex { surface, shading, wo, lobe } = vertex;
+        if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
+            let found = self.direct(lanes, world, surface, shading, *wo, &path.sampler);
+            *radiance += path.throughput * path.share * found;
+        }
+        let Some(next) = self.continuation(shading, *wo, *lobe, path.sampler.two(Slot::Direction)) else {
+            return false;
+        };
+        path.throughput *= next.weight;
+        path.eta *= next.eta;
+        path.depth += 1;
+        path.is_last = match self.integrator.kind {
+            IntegratorKind::Path => false,
+            IntegratorKind::Direct => true,
+            IntegratorKind::Whitted => !next.is_delta(),
+        } || self.max_depth().is_some_and(|max| path.depth + 1 >= max);
+        if !path.is_last {
+            let survival = self.survival(path);
+            if survival < 1.0 {
+                if path.sampler.one(Slot::Roulette) >= survival {
+                    return false;
+                }
+                path.throughput /= survival;
+            }
+        }
+        path.ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
+        path.origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
+        path.throughput != Vec3::ZERO
+    }
+
+    /// The probability of a path to go on.
+    #[inline(always)]
+    fn survival(&self, path: &Path) -> f32 {
+        // The radiance scale of refraction (eta²) undoes itself when the path leaves the glass.
+        let expected = path.throughput.max_element() * path.eta * path.eta;
+        let is_early = path.depth >= EARLY_DEPTH && !self.without.early_roulette;
+        let early = if is_early { EARLY_CONTRIBUTION * expected } else { 1.0 };
+        if path.depth >= self.integrator.rr_depth { early.min(expected).min(CONTINUATION_MAX) } else { early }
     }
 
     /// Next-event estimation: light from one point of one light, if the way is free.

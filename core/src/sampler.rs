@@ -67,6 +67,12 @@ impl Sampler {
         self.base = CAMERA_SLOTS + depth.wrapping_mul(SURFACE_SLOTS);
     }
 
+    /// From here on, the numbers of sample `branch` of `count` that this one becomes: as well distributed among all of them.
+    #[inline(always)]
+    pub fn branch(&self, branch: u32, count: u32) -> Self {
+        Self { index: self.index * count + branch, ..*self }
+    }
+
     /// One number in [0,1).
     #[inline]
     pub fn one(&self, slot: Slot) -> f32 {

@@ -20,8 +20,23 @@ pub struct Settings {
     pub strategy: Strategy,
     /// Where random numbers come from.
     pub sampler: SamplerKind,
+    /// What saves work and shall not.
+    #[serde(default)]
+    pub without: Without,
     /// Binary exponent of the film's fixed point: a radiance r is stored as round(r · 2^scale_exponent).
     pub scale_exponent: i32,
+}
+
+/// Ways to the same expected image with less work for the same error, each of them switched off where it is true: so that
+/// what it gains can be measured. docs/performance.md has the measurements.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Without {
+    /// A path branches at the first surface that scatters it.
+    pub splitting: bool,
+    /// Roulette starts at the second surface, where a path's throughput is low, whatever `rr_depth` says.
+    pub early_roulette: bool,
+    /// The last ray of a path is not traced where no light lies on it. The image is the same to the bit.
+    pub blind_ends: bool,
 }
 
 /// The picture's geometry.

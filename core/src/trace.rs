@@ -61,13 +61,13 @@ impl Tracer {
     #[inline(always)]
     fn sample<L: Lanes>(&self, lanes: L, estimator: &Estimator, x: u32, y: u32, index: u32) -> Vec3 {
         let Settings { film, seed, sampler, .. } = &self.settings;
-        let mut sampler = Sampler::new(*sampler, *seed, x, y, index);
+        let sampler = Sampler::new(*sampler, *seed, x, y, index);
         let u = sampler.film();
         let (film_x, weight_x) = self.filter.sample(x, film.width, u.x);
         let (film_y, weight_y) = self.filter.sample(y, film.height, u.y);
         let camera_ray = self.camera.ray(Vec2::new(film_x, film_y), || sampler.lens());
         let ray = Ray { origin: camera_ray.origin, direction: camera_ray.direction, t_max: camera_ray.t_max };
-        estimator.radiance(lanes, &self.world, ray, &mut sampler) * (weight_x * weight_y)
+        estimator.radiance(lanes, &self.world, ray, sampler) * (weight_x * weight_y)
     }
 }
 
@@ -85,8 +85,8 @@ impl Kernel for TraceTile<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
         let Self { tracer, tile, samples, stop } = self;
-        let Settings { integrator, strategy, scale_exponent, .. } = tracer.settings;
-        let estimator = Estimator { integrator, strategy };
+        let Settings { integrator, strategy, without, scale_exponent, .. } = tracer.settings;
+        let estimator = Estimator { integrator, strategy, without };
         let mut sums = TileSums::new(tile, samples.clone());
         let positions = (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y)));
         for ((x, y), pixel) in positions.zip(&mut sums.pixels) {

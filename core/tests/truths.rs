@@ -12,7 +12,7 @@ use tilecast_core::scene::{
     Texture, TextureId,
 };
 use tilecast_core::settings::{
-    Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window,
+    Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window, Without,
 };
 use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
@@ -45,6 +45,7 @@ fn settings(side: u32, spp: u32, strategy: Strategy) -> Settings {
         integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
         strategy,
         sampler: SamplerKind::Sobol,
+        without: Without::default(),
         scale_exponent: film::scale_exponent(100.0),
     }
 }

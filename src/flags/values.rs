@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use tilecast_core::bvh::simd::Isa;
-use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, SamplerKind, Strategy, Window};
+use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, SamplerKind, Strategy, Window, Without};
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum IntegratorName {
@@ -34,6 +34,29 @@ pub enum SamplerName {
     Sobol,
     /// Every number independent
     Independent,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum SavingName {
+    /// Several branches of a path from its first surface on
+    Splitting,
+    /// Roulette from the second surface on
+    EarlyRoulette,
+    /// Not tracing a path's last ray where no light lies on it
+    BlindEnds,
+}
+
+/// These switched off.
+pub fn without(names: &[SavingName]) -> Without {
+    let mut without = Without::default();
+    for name in names {
+        match name {
+            SavingName::Splitting => without.splitting = true,
+            SavingName::EarlyRoulette => without.early_roulette = true,
+            SavingName::BlindEnds => without.blind_ends = true,
+        }
+    }
+    without
 }
 
 impl From<IntegratorName> for IntegratorKind {

@@ -10,7 +10,7 @@ use tilecast_core::scene::{
     Bsdf, BsdfId, Digest, Emitter, FovAxis, Geometry, Mesh, MeshId, Scene, Sensor, Shape, Texture, TextureId,
 };
 use tilecast_core::settings::{
-    Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window,
+    Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window, Without,
 };
 use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
@@ -77,6 +77,7 @@ fn settings() -> Settings {
         integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
+        without: Without::default(),
         scale_exponent: scale_exponent(0.7),
     }
 }

@@ -196,7 +196,9 @@ impl Bench {
 mod tests {
     use super::*;
     use tilecast_core::scene::{Emitter, FovAxis, Scene, Sensor};
-    use tilecast_core::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window};
+    use tilecast_core::settings::{
+        Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window, Without,
+    };
     use tilecast_core::world::World;
     use tokio::sync::mpsc::UnboundedReceiver;
 
@@ -231,6 +233,7 @@ mod tests {
             integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
             strategy: Strategy::Mis,
             sampler: SamplerKind::Sobol,
+            without: Without::default(),
             scale_exponent,
         };
         Arc::new(Tracer::new(Arc::new(World::compile(&scene)), settings, Isa::Portable).unwrap())

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use std::collections::HashMap;
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::{
-    Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy as Directions, Window,
+    Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy as Directions, Window, Without,
 };
 
 pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
@@ -16,6 +16,7 @@ pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
         integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
         strategy: Directions::Mis,
         sampler: SamplerKind::Sobol,
+        without: Without::default(),
         scale_exponent: 60,
     }
 }

@@ -25,11 +25,11 @@ impl Background {
         }
     }
 
-    /// A direction to light from.
+    /// A direction to light from, and what [`Background::at`] has there.
     #[inline(always)]
-    pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> Vec3 {
+    pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> (Vec3, Vec3, f32) {
         match self {
-            Background::Constant(_) => uniform_sphere(u),
+            Background::Constant(radiance) => (uniform_sphere(u), *radiance, UNIFORM_SPHERE_PDF),
             Background::Environment(environment) => environment.sample(textures, u, mis),
         }
     }

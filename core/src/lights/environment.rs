@@ -88,12 +88,16 @@ impl Environment {
     #[inline(always)]
     pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
         let cell = self.cell(self.to_world.transpose() * wi);
-        let [a, b, c, d] = self.corners(textures, cell.column, cell.row);
+        self.within(&cell, self.corners(textures, cell.column, cell.row), self.distribution(mis))
+    }
+
+    /// Radiance and density at a position between four texels.
+    #[inline(always)]
+    fn within(&self, cell: &Cell, [a, b, c, d]: [Vec3; 4], distribution: &Distribution) -> (Vec3, f32) {
         let upper = a * (1.0 - cell.x) + b * cell.x;
         let lower = c * (1.0 - cell.x) + d * cell.x;
         let radiance = (upper * (1.0 - cell.y) + lower * cell.y) * self.scale;
 
-        let distribution = self.distribution(mis);
         let [a, b, c, d] = [a, b, c, d].map(|texel| distribution.weight(luminance(texel)));
         let mean = 0.25 * (a + b + c + d);
         let upper = a * (1.0 - cell.x) + b * cell.x;
@@ -104,22 +108,25 @@ impl Environment {
         (radiance, if mean > 0.0 { probability / solid_angle * (weight / mean) } else { 0.0 })
     }
 
-    /// A unit direction for two random numbers.
+    /// A unit direction for two random numbers, and what [`Environment::at`] has there.
     #[inline(always)]
-    pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> Vec3 {
+    pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> (Vec3, Vec3, f32) {
         let distribution = self.distribution(mis);
         let (row, v) = choose(&distribution.rows, u.y);
         let stride = self.image.width as usize + 1;
         let (column, u) = choose(&distribution.columns[row * stride..][..stride], u.x);
-        let [a, b, c, d] = self
-            .corners(textures, column, row)
-            .map(|texel| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE));
+        let corners = self.corners(textures, column, row);
+        let [a, b, c, d] = corners.map(|texel| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE));
         let down = inverse_linear(v, a + b, c + d);
         let across = inverse_linear(u, a + (c - a) * down, b + (d - b) * down);
         let height = self.heights[row] + (self.heights[row + 1] - self.heights[row]) * down;
         let (sin_phi, cos_phi) = sin_cos_turn((column as f32 + 0.5 + across) / self.image.width as f32);
         let sin_theta = (height * (2.0 - height)).max(0.0).sqrt();
-        self.to_world * Vec3::new(sin_theta * sin_phi, 1.0 - height, -sin_theta * cos_phi)
+        let theta = atan2(sin_theta, 1.0 - height);
+        let y = (theta / PI * (self.heights.len() - 1) as f32 - row as f32).clamp(0.0, 1.0);
+        let (radiance, pdf) = self.within(&Cell { column, row, x: across, y, height: down }, corners, distribution);
+        let wi = self.to_world * Vec3::new(sin_theta * sin_phi, 1.0 - height, -sin_theta * cos_phi);
+        (wi, radiance, pdf)
     }
 
     /// Where a direction of the image's space meets it.
@@ -275,7 +282,7 @@ mod tests {
             for _ in 0..n * n {
                 sampler = crate::sampler::mix64(sampler);
                 let u = Vec2::new((sampler as u32 >> 8) as f32, (sampler >> 40) as f32) / STEPS as f32;
-                seen[index(map.sample(&textures, u, mis))] += 1.0;
+                seen[index(map.sample(&textures, u, mis).0)] += 1.0;
             }
             for u in grid(fine) {
                 let d = uniform_sphere(u);
@@ -304,7 +311,9 @@ mod tests {
     fn bright_directions_are_found() {
         let (map, textures) = environment(64, 32, |x, y| 1.0 + libm::sinf((x * y) as f32 * 0.01) * 0.9);
         let weights = grid(64).map(|u| {
-            let (radiance, pdf) = map.at(&textures, map.sample(&textures, u, false), false);
+            let (wi, radiance, pdf) = map.sample(&textures, u, false);
+            let (again, density) = map.at(&textures, wi, false);
+            assert!((pdf - density).abs() < 1e-3 * pdf && (radiance - again).length() < 1e-3 * radiance.length());
             luminance(radiance) / pdf / (4.0 * PI * map.mean_luminance())
         });
         assert!(weights.into_iter().all(|w| (0.8..1.25).contains(&w)), "a weight is far from the mean");

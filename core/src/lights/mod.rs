@@ -114,8 +114,7 @@ impl Lights {
             }
             Light::Background => {
                 let (background, _) = self.background.as_ref()?;
-                let wi = background.sample(textures, u, mis);
-                let (radiance, pdf) = background.at(textures, wi, mis);
+                let (wi, radiance, pdf) = background.sample(textures, u, mis);
                 let pdf = pdf * probability;
                 let shadow_ray = surface.ray(wi, f32::INFINITY);
                 (pdf > 0.0).then(|| LightSample { wi, weight: radiance / pdf, pdf, shadow_ray })

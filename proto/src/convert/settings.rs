@@ -3,7 +3,7 @@
 use super::{WireError, window};
 use crate::wire;
 use tilecast_core::settings::{
-    FILM_SIDE_MAX, Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy,
+    FILM_SIDE_MAX, Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Without,
 };
 
 impl From<&Settings> for wire::Settings {
@@ -34,6 +34,7 @@ impl From<&Settings> for wire::Settings {
             SamplerKind::Independent => wire::Sampler::Independent,
             SamplerKind::Sobol => wire::Sampler::Sobol,
         };
+        let Without { splitting, early_roulette, blind_ends } = settings.without;
         Self {
             width,
             height,
@@ -45,6 +46,7 @@ impl From<&Settings> for wire::Settings {
             strategy: strategy.into(),
             sampler: sampler.into(),
             scale_exponent: settings.scale_exponent,
+            without: Some(wire::Without { splitting, early_roulette, blind_ends }),
         }
     }
 }
@@ -79,6 +81,11 @@ impl TryFrom<wire::Settings> for Settings {
             },
             strategy: strategy(message.strategy)?,
             sampler: sampler(message.sampler)?,
+            without: message.without.map_or_else(Without::default, |wire| Without {
+                splitting: wire.splitting,
+                early_roulette: wire.early_roulette,
+                blind_ends: wire.blind_ends,
+            }),
             scale_exponent: message.scale_exponent,
         };
         settings.validate()?;

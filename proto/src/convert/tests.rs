@@ -6,7 +6,7 @@ use crate::{sums, types};
 use proptest::prelude::*;
 use std::time::Duration;
 use tilecast_core::film::{self, TileSums};
-use tilecast_core::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Strategy};
+use tilecast_core::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Strategy, Without};
 
 fn settings() -> Settings {
     Settings {
@@ -21,6 +21,7 @@ fn settings() -> Settings {
         integrator: Integrator { kind: IntegratorKind::Whitted, max_depth: None, rr_depth: 5, hide_emitters: true },
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
+        without: Without { splitting: true, early_roulette: false, blind_ends: true },
         scale_exponent: -3,
     }
 }

@@ -5,7 +5,7 @@ use super::document::{ObjectId, Span};
 use super::plugins::{Build, Plugin, Takes, parameter, unmodelled};
 use super::properties::Properties;
 use crate::load::error::Result;
-use crate::settings::{Film, Integrator, IntegratorKind, SamplerKind, Settings, Strategy};
+use crate::settings::{Film, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Without};
 
 /// What a scene file says of how radiance is estimated.
 #[derive(Clone, Copy)]
@@ -110,6 +110,7 @@ impl Estimator {
             integrator: self.integrator,
             strategy: self.strategy,
             sampler: SamplerKind::Sobol,
+            without: Without::default(),
             scale_exponent: 0,
         }
     }

@@ -20,7 +20,7 @@ use super::mesh::obj::{self, ObjFile};
 use super::placed::{PlacedEmitter, PlacedSensor, PlacedShape, Projection};
 use super::{LoadOptions, Loaded, Note, image};
 use crate::scene::{Bsdf, BsdfId, FilterType, FovAxis, Texture, TextureId, WrapMode};
-use crate::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window};
+use crate::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window, Without};
 use glam::{Affine2, DAffine3, DMat3, DVec3, Vec2, Vec3};
 use mtl::{Map, Material};
 use std::collections::HashMap;
@@ -296,6 +296,7 @@ fn settings() -> Settings {
         integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
+        without: Without::default(),
         scale_exponent: 0,
     }
 }
