@@ -32,6 +32,9 @@ struct Placed {
 /// A whole group costs many nodes: none is looked into without its own box being passed.
 const LEAF_COST: LeafCost = LeafCost { max_count: 1, block: 1, block_cost: 8.0 };
 
+/// How far beyond the nearest hit so far a group is searched, as a factor: many roundings of f32.
+const BEYOND: f32 = 1.0 + 1.0 / (1 << 16) as f32;
+
 impl Instances {
     /// Of a scene that has some; shapes of groups are numbered after those that stand in the scene itself, group by group.
     pub fn new(scene: &Scene, meshes: &mut Meshes) -> Self {
@@ -223,7 +226,9 @@ impl<L: Lanes> Leaves<L> for Visit<'_> {
     fn nearest(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, t_max: f32) -> f32 {
         let mut best = self.nearest;
         for (i, entry) in self.passed(lanes, slabs, leaf, t_max) {
-            let (group, ray) = self.group(i, best.map_or(t_max, |(t, ..)| t));
+            // A little farther: the formulas of analytic shapes may find a hit nearer than their box, by rounding, and one that
+            // is just as far as the nearest so far must not be lost.
+            let (group, ray) = self.group(i, best.map_or(t_max, |(t, ..)| t) * BEYOND);
             let Some(hit) = group.closest_of_own(lanes, &ray) else { continue };
             let t = hit.t().max(entry);
             if t <= t_max && best.is_none_or(|(other, first, _)| (t, i) < (other, first)) {
