@@ -138,6 +138,7 @@ fn cubic(b: f32, c: f32, x: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chi_square::{self, DRAWS, number};
 
     const ALL: [Filter; 7] = [
         Filter::Box,
@@ -180,6 +181,36 @@ mod tests {
                     }
                     assert!((share - below).abs() < 2e-3, "{filter:?} pixel {pixel} at {x}: {share} for {below}");
                 }
+            }
+        }
+    }
+
+    /// 10^6 positions a filter against the integral of its magnitude, in 64 cells, in the middle of the film and at its edge.
+    /// Fails if positions between knots were even instead of following the slope.
+    #[test]
+    fn positions_pass_chi_square() {
+        const CELLS: usize = 64;
+        let cases: Vec<(Filter, u32)> = ALL.into_iter().flat_map(|filter| [(filter, 4), (filter, 0)]).collect();
+        for &(filter, pixel) in &cases {
+            let table = FilterTable::new(filter);
+            let (size, centre) = (9, f64::from(pixel) + 0.5);
+            let radius = f64::from(filter.radius());
+            let (low, high) = ((centre - radius).max(0.0), centre + radius);
+            let mut counts = [0.0; CELLS];
+            for i in 0..DRAWS {
+                let (x, _) = table.sample(pixel, size, number(i, 0));
+                counts[(((f64::from(x) - low) / (high - low) * CELLS as f64) as usize).min(CELLS - 1)] += 1.0;
+            }
+            let steps = 1000;
+            let at = |i: usize| low + (i as f64 + 0.5) / (CELLS * steps) as f64 * (high - low) - centre;
+            let magnitude = |cell: usize| -> f64 {
+                (cell * steps..(cell + 1) * steps).map(|i| f64::from(evaluate(filter, at(i) as f32)).abs()).sum()
+            };
+            let magnitudes: Vec<f64> = (0..CELLS).map(magnitude).collect();
+            let total: f64 = magnitudes.iter().sum();
+            let expected: Vec<f64> = magnitudes.iter().map(|m| m / total * DRAWS as f64).collect();
+            if let Err(told) = chi_square::compare(&counts, &expected, cases.len()) {
+                panic!("{filter:?} at pixel {pixel}: {told}");
             }
         }
     }

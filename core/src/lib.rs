@@ -11,6 +11,8 @@
 pub mod bsdf;
 pub mod bvh;
 pub mod camera;
+#[cfg(test)]
+mod chi_square;
 pub mod film;
 pub mod filter;
 pub mod frame;

@@ -5,6 +5,7 @@ mod mitsuba;
 mod models;
 
 use super::*;
+use crate::chi_square::{self, DRAWS};
 use crate::scene::Distribution::{Beckmann, Ggx};
 use crate::warp::{around_z, uniform_sphere};
 use models::{checked_models, extreme_models, facets, models, rough_glass};
@@ -48,57 +49,53 @@ fn numbers(i: u64) -> (f32, Vec2) {
 }
 
 /// Counts of sampled directions over 20 × 20 cells of the sphere, of equal angles, against the density's integral, by
-/// chi-square with 10^6 samples a case. The bound is the quantile at 5.5 standard deviations (Wilson & Hilferty), 2·10^-8, so
-/// that all cases together fail by chance less than once in 10^5. Fails for a lobe exponent off by one in `pdf`, or for
+/// chi-square with 10^6 samples a case, Šidák-corrected over all cases. Fails for a lobe exponent off by one in `pdf`, or for
 /// GGX's density without its bound. Left out is what the grid of the integral is too coarse for: the narrowest lobe, and the
 /// thin sheet's edge seen from near the horizon (both pass with 256 points a side of a cell, in minutes).
 #[test]
 fn sampling_follows_the_density() {
     let models = models().into_iter().filter(|(name, _)| *name != "roughplastic ggx 0.05");
-    models.collect::<Vec<_>>().into_par_iter().for_each(|(name, model)| {
+    let of_model = |(name, model): (&'static str, Closure<'static>)| {
         let least = if name == "principledthin" { 0.1 } else { 0.0 };
-        for wo in views_of(&model).filter(|wo| wo.z.abs() > least) {
-            check_density(name, &model, wo);
-        }
-    });
+        let views: Vec<Vec3> = views_of(&model).filter(|wo| wo.z.abs() > least).collect();
+        views.into_iter().map(move |wo| (name, model, wo))
+    };
+    let cases: Vec<_> = models.flat_map(of_model).collect();
+    cases.par_iter().for_each(|(name, model, wo)| check_density(name, model, *wo, cases.len()));
 }
 
-fn check_density(name: &str, model: &Closure, wo: Vec3) {
+fn check_density(name: &str, model: &Closure, wo: Vec3, cases: usize) {
     const SIDE: usize = 20;
     const FINE: u32 = 64;
-    let mut counts = [0u32; SIDE * SIDE];
+    let mut counts = [0.0; SIDE * SIDE];
     let cell = |w: Vec3| {
         let part = |x: f32| ((x * SIDE as f32) as usize).min(SIDE - 1);
         let turn = (w.y.atan2(w.x) / std::f32::consts::TAU).rem_euclid(1.0);
         part(w.z.clamp(-1.0, 1.0).acos() / std::f32::consts::PI) * SIDE + part(turn)
     };
-    let n = 1_000_000u64;
+    let n = DRAWS;
     let mut others = 0u32;
     for i in 0..n {
         let (lobe, u) = numbers(i);
         match model.sample(wo, lobe, u) {
-            Some(sample) if !sample.is_delta() => counts[cell(sample.wi)] += 1,
+            Some(sample) if !sample.is_delta() => counts[cell(sample.wi)] += 1.0,
             _ => others += 1,
         }
     }
-    let (mut chi2, mut mass, mut cells) = (0.0, 0.0, 0.0);
-    for (i, &count) in counts.iter().enumerate() {
+    let expected = (0..SIDE * SIDE).map(|i| {
         let (row, column) = ((i / SIDE) as f32, (i % SIDE) as f32);
         let density = |u: Vec2| {
             let (sin, cos) = (std::f32::consts::PI * (row + u.x) / SIDE as f32).sin_cos();
             f64::from(model.eval(wo, around_z(cos, (column + u.y) / SIDE as f32)).pdf * sin)
         };
         let area = 2.0 * PI * PI / (SIDE * SIDE) as f64;
-        let integral = area * grid(FINE).map(density).sum::<f64>() / f64::from(FINE * FINE);
-        mass += integral;
-        let expected = integral * n as f64;
-        if expected > 5.0 {
-            chi2 += (f64::from(count) - expected).powi(2) / expected;
-            cells += 1.0;
-        }
+        area * grid(FINE).map(density).sum::<f64>() / f64::from(FINE * FINE) * n as f64
+    });
+    let expected: Vec<f64> = expected.collect();
+    if let Err(told) = chi_square::compare(&counts, &expected, cases) {
+        panic!("{name} seen at {}: {told}", wo.z);
     }
-    let bound = cells * (1.0 - 2.0 / (9.0 * cells) + 5.5 * (2.0f64 / (9.0 * cells)).sqrt()).powi(3);
-    assert!(chi2 < bound, "{name} seen at {}: χ² = {chi2} in {cells} cells", wo.z);
+    let mass = expected.iter().sum::<f64>() / n as f64;
     let lost = f64::from(others) / n as f64;
     assert!((mass + lost - 1.0).abs() < 0.003, "{name} seen at {}: mass {mass}, others {lost}", wo.z);
 }
@@ -179,6 +176,39 @@ fn lossless_facets_lose_only_what_is_scattered_twice() {
                     let kept = albedo(&model, wo);
                     assert!(kept > least && kept < 1.002, "{distribution:?} {alpha} seen at {}: {kept}", wo.z);
                 }
+            }
+        }
+    }
+}
+
+/// A white furnace: what loses nothing by its model gives all of it back, at every angle and from either side. (Diffuse light
+/// that a coat holds back comes out in the end, where `nonlinear` counts it in; how much it holds back is Mitsuba's fit, which is
+/// a hundredth off for diamond.)
+#[test]
+fn lossless_models_give_everything_back() {
+    let one = Vec3::ONE;
+    let mirror = Conductor { eta: Vec3::ZERO, k: one, specular_reflectance: one };
+    let pane = |eta| ThinDielectric { eta, specular_reflectance: one, specular_transmittance: one };
+    let glass = |eta| Dielectric { eta, specular_reflectance: one, specular_transmittance: one };
+    let models = [
+        ("diffuse", Closure::Diffuse(Diffuse { reflectance: one }), 1e-5),
+        ("mirror", Closure::Conductor(mirror), 1e-5),
+        ("null", Closure::Null, 1e-5),
+        ("glass", Closure::Dielectric(glass(1.5)), 1e-3),
+        ("out of glass", Closure::Dielectric(glass(1.0 / 1.5)), 1e-3),
+        ("pane", Closure::ThinDielectric(pane(1.5)), 1e-3),
+        ("plastic", Closure::Plastic(Plastic::new(1.5, true, one, one)), 5e-3),
+        ("plastic of diamond", Closure::Plastic(Plastic::new(2.4, true, one, one)), 3e-2),
+    ];
+    for (name, model, tolerance) in models {
+        for cos in [0.02f32, 0.1, 0.3, 0.5, 0.8, 1.0] {
+            for wo in [1.0, -1.0]
+                .map(|side| around_z(cos, 0.3) * side)
+                .into_iter()
+                .filter(|wo| wo.z > 0.0 || model.transmits())
+            {
+                let kept = albedo(&model, wo);
+                assert!((kept - 1.0).abs() < tolerance, "{name} seen at {}: {kept}", wo.z);
             }
         }
     }

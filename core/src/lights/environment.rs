@@ -292,15 +292,9 @@ mod tests {
             }
             let total: f64 = expected.iter().sum::<f64>() / f64::from(n * n);
             assert!((total - 1.0).abs() < 1e-3, "mis {mis}: the density integrates to {total}");
-            let kept = expected.iter().filter(|&&e| e > 5.0).count();
-            let chi2: f64 = seen
-                .iter()
-                .zip(&expected)
-                .filter(|&(_, &e)| e > 5.0)
-                .map(|(s, e): (&f64, _)| (s - e).powi(2) / e)
-                .sum();
-            // Five standard deviations of χ² with this many degrees of freedom.
-            assert!(chi2 < kept as f64 + 5.0 * (2.0 * kept as f64).sqrt(), "mis {mis}: χ² {chi2} over {kept} boxes");
+            if let Err(told) = crate::chi_square::compare(&seen, &expected, 2) {
+                panic!("mis {mis}: {told}");
+            }
             let stray = seen.iter().zip(&expected).any(|(&s, &e)| e == 0.0 && s > 0.0);
             assert!(!stray, "mis {mis}: samples where the density is zero");
         }
