@@ -68,6 +68,10 @@ fn decode_others(path: &Path, bytes: &[u8], raw: bool) -> Result<Image, String> 
         Err(_) if by_name == Some(ImageFormat::Tga) => ImageFormat::Tga,
         Err(_) => return Err("is no image of a known kind; there are PNG, JPEG, TGA, HDR and EXR".into()),
     };
+    let srgb = !raw;
+    if format == ImageFormat::Jpeg {
+        return decode_jpeg(bytes, srgb);
+    }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     limits.max_image_width = Some(SIDE_MAX as u32);
@@ -79,7 +83,6 @@ fn decode_others(path: &Path, bytes: &[u8], raw: bool) -> Result<Image, String> 
     if width == 0 || height == 0 {
         return Err("has no pixels".into());
     }
-    let srgb = !raw;
     let texels = match decoded {
         DynamicImage::ImageLuma8(image) => Texels::Grey8 { srgb, data: image.into_raw() },
         DynamicImage::ImageRgb8(image) => Texels::Rgb8 { srgb, data: image.into_raw() },
@@ -94,6 +97,29 @@ fn decode_others(path: &Path, bytes: &[u8], raw: bool) -> Result<Image, String> 
         image => Texels::Rgb32(image.into_rgb32f().into_raw()),
     };
     Ok(Image { width, height, texels })
+}
+
+/// With a decoder of its own: that of `image` rounds halved colour up each time it doubles it, which makes photographs bluer, by
+/// 0.4 of 255 on average.
+fn decode_jpeg(bytes: &[u8], srgb: bool) -> Result<Image, String> {
+    use jpeg_decoder::PixelFormat;
+    let fail = |e: jpeg_decoder::Error| format!("cannot be decoded: {e}");
+    let mut decoder = jpeg_decoder::Decoder::new(bytes);
+    decoder.set_max_decoding_buffer_size(usize::try_from(DECODED_BYTES_MAX).unwrap_or(usize::MAX));
+    decoder.read_info().map_err(fail)?;
+    let info = decoder.info().ok_or("has no header")?;
+    if usize::from(info.width.max(info.height)) > SIDE_MAX {
+        return Err(format!("has {}×{} pixels, more than it may have", info.width, info.height));
+    }
+    let data = decoder.decode().map_err(fail)?;
+    let texels = match info.pixel_format {
+        PixelFormat::L8 => Texels::Grey8 { srgb, data },
+        PixelFormat::RGB24 => Texels::Rgb8 { srgb, data },
+        PixelFormat::L16 | PixelFormat::CMYK32 => {
+            return Err("has neither one nor three colours of 8 bits; save it as RGB".into());
+        }
+    };
+    Ok(Image { width: info.width.into(), height: info.height.into(), texels })
 }
 
 fn from_16_bit(values: &[u16], srgb: bool) -> Vec<f32> {
