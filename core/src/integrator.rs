@@ -16,11 +16,15 @@ use crate::settings::{Integrator, IntegratorKind, Strategy};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_pdf, uniform_hemisphere};
+use crate::witness::{Cause, Event, Witness};
 use crate::world::World;
 use glam::{Vec2, Vec3};
 
 /// The largest probability to go on under Russian roulette, so that a path in a lossless scene ends some day.
 const CONTINUATION_MAX: f32 = 0.95;
+
+/// Emitters in a row that a camera ray passes when they are hidden. A ray within the plane of one may meet it again and again.
+const HIDDEN_MAX: u32 = 1 << 12;
 
 /// What is estimated, and how.
 #[derive(Clone, Copy, Debug)]
@@ -45,7 +49,14 @@ struct Origin {
 impl Estimator {
     /// Radiance along a camera ray.
     #[inline(always)]
-    pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, mut ray: Ray, sampler: &mut Sampler) -> Vec3 {
+    pub fn radiance<L: Lanes>(
+        &self,
+        lanes: L,
+        world: &World,
+        mut ray: Ray,
+        sampler: &mut Sampler,
+        witness: &mut impl Witness,
+    ) -> Vec3 {
         let mut radiance = Vec3::ZERO;
         let mut throughput = Vec3::ONE;
         let mut origin = Origin { position: ray.origin, normal: Vec3::ZERO, pdf: f32::INFINITY };
@@ -56,19 +67,30 @@ impl Estimator {
             let hidden = depth == 0 && self.integrator.hide_emitters;
             let surface = match next_surface(lanes, world, &mut ray, hidden, last_segment) {
                 Next::Surface(surface) => surface,
-                Next::Dark => break,
+                Next::Dark => {
+                    witness.see(|| Event::End(Cause::Dark));
+                    break;
+                }
                 Next::Background => {
-                    if !hidden {
-                        radiance += throughput * self.background(world, origin, ray.direction);
+                    if !hidden && let Some((emitted, mis)) = self.background(world, origin, ray.direction) {
+                        let gained = throughput * (emitted * mis);
+                        radiance += gained;
+                        witness.see(|| Event::Emission { radiance: emitted, mis, pdf: origin.pdf, gained });
                     }
+                    witness.see(|| Event::End(Cause::Escaped));
                     break;
                 }
             };
+            witness.see(|| Event::Hit { depth, surface, throughput });
             let wo = -ray.direction;
             if let Some(light) = surface.light {
-                radiance += throughput * self.emitted(world, &surface, light, origin, wo);
+                let (emitted, mis) = self.emitted(world, &surface, light, origin, wo);
+                let gained = throughput * (emitted * mis);
+                radiance += gained;
+                witness.see(|| Event::Emission { radiance: emitted, mis, pdf: origin.pdf, gained });
             }
             if last_segment {
+                witness.see(|| Event::End(Cause::Depth));
                 break;
             }
 
@@ -77,10 +99,16 @@ impl Estimator {
             let shading = world.materials.at(&world.geometry, &world.textures, &surface, wo, &mut lobe);
             let wo = shading.frame.to_local(wo);
             if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
-                radiance += throughput * self.direct(lanes, world, &surface, &shading, wo, sampler);
+                let hit = (&surface, &shading, wo);
+                radiance += self.direct(lanes, world, hit, throughput, sampler, witness);
             }
 
-            let Some(next) = self.continuation(&shading, wo, lobe, sampler.two(Slot::Direction)) else { break };
+            let Some(next) = self.continuation(&shading, wo, lobe, sampler.two(Slot::Direction)) else {
+                witness.see(|| Event::End(Cause::Absorbed));
+                break;
+            };
+            let wi = shading.frame.to_world(next.wi);
+            witness.see(|| Event::Continuation { wi, pdf: next.pdf, weight: next.weight });
             throughput *= next.weight;
             eta *= next.eta;
             last_segment = match self.integrator.kind {
@@ -91,63 +119,66 @@ impl Estimator {
             if depth + 1 >= self.integrator.rr_depth && !last_segment {
                 // The radiance scale of refraction (eta²) undoes itself when the path leaves the glass.
                 let survival = (throughput.max_element() * eta * eta).min(CONTINUATION_MAX);
-                if sampler.one(Slot::Roulette) >= survival {
+                let survived = sampler.one(Slot::Roulette) < survival;
+                witness.see(|| Event::Roulette { survival, survived });
+                if !survived {
+                    witness.see(|| Event::End(Cause::Roulette));
                     break;
                 }
                 throughput /= survival;
             }
             if throughput == Vec3::ZERO {
+                witness.see(|| Event::End(Cause::Absorbed));
                 break;
             }
-            ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
+            ray = surface.ray(wi, f32::INFINITY);
             origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
         }
         radiance
     }
 
-    /// Next-event estimation: light from one point of one light, if the way is free.
+    /// Next-event estimation: light from one point of one light, if the way is free, times the throughput.
     #[inline(always)]
     fn direct<L: Lanes>(
         &self,
         lanes: L,
         world: &World,
-        surface: &Surface,
-        shading: &Shading,
-        wo: Vec3,
+        (surface, shading, wo): (&Surface, &Shading, Vec3),
+        throughput: Vec3,
         sampler: &Sampler,
+        witness: &mut impl Witness,
     ) -> Vec3 {
         let (choice, u) = (|| sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
-        let mis = self.strategy == Strategy::Mis;
-        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
+        let with_bsdf = self.strategy == Strategy::Mis;
+        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, with_bsdf) else {
             return Vec3::ZERO;
         };
         let scattered = shading.eval(wo, shading.frame.to_local(light.wi));
-        let weight = if mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
-        let contribution = scattered.value * light.weight * weight;
-        if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
-            return Vec3::ZERO;
-        }
-        contribution
+        let mis = if with_bsdf { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
+        let contribution = scattered.value * light.weight * mis;
+        let visible = contribution != Vec3::ZERO && !world.geometry.occluded(lanes, &light.shadow_ray);
+        let gained = if visible { throughput * contribution } else { Vec3::ZERO };
+        let (wi, pdf, bsdf_pdf) = (light.wi, light.pdf, scattered.pdf);
+        witness.see(|| Event::Light { wi, pdf, bsdf_pdf, mis, visible, gained });
+        gained
     }
 
-    /// Radiance from beyond the scene.
+    /// Radiance from beyond the scene, and its weight.
     #[inline(always)]
-    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Vec3 {
-        match world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis) {
-            Some((radiance, pdf)) => radiance * self.weight_of_hit(origin, pdf),
-            None => Vec3::ZERO,
-        }
+    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Option<(Vec3, f32)> {
+        let (radiance, pdf) = world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis)?;
+        Some((radiance, self.weight_of_hit(origin, pdf)))
     }
 
-    /// Radiance emitted by the surface that was hit.
+    /// Radiance emitted by the surface that was hit, and its weight.
     #[inline(always)]
-    fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> Vec3 {
+    fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> (Vec3, f32) {
         let emitted = world.lights.emitted(&world.textures, surface, light, wo);
         if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
-            return emitted * self.weight_of_hit(origin, 0.0);
+            return (emitted, self.weight_of_hit(origin, 0.0));
         }
         let light_pdf = world.lights.pdf(&world.geometry, origin.position, origin.normal, surface, light);
-        emitted * self.weight_of_hit(origin, light_pdf)
+        (emitted, self.weight_of_hit(origin, light_pdf))
     }
 
     /// The weight of a light that a ray hit: one where next-event estimation could not have found it or is not used.
@@ -199,7 +230,7 @@ fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool, 
     if last && !world.lights.may_meet(lanes, ray) {
         return Next::Dark;
     }
-    loop {
+    for _ in 0..HIDDEN_MAX {
         let Some(hit) = world.geometry.closest(lanes, ray) else { return Next::Background };
         if last && world.geometry.light_of(&hit).is_none() {
             return Next::Dark;
@@ -210,6 +241,7 @@ fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool, 
         }
         *ray = surface.ray(ray.direction, ray.t_max - hit.t());
     }
+    Next::Dark
 }
 
 /// Veach's power heuristic with β = 2, for one sample of each technique; `a` may be infinite.

@@ -32,6 +32,10 @@ pub enum StrategyName {
 pub enum SamplerName {
     /// Owen-scrambled Sobol' points
     Sobol,
+    /// Likewise, those of one surface in seven dimensions
+    SobolJoint,
+    /// Likewise, in an order that makes the error of neighbouring pixels differ
+    SobolZ,
     /// Every number independent
     Independent,
 }
@@ -62,6 +66,8 @@ impl From<SamplerName> for SamplerKind {
     fn from(name: SamplerName) -> Self {
         match name {
             SamplerName::Sobol => Self::Sobol,
+            SamplerName::SobolJoint => Self::SobolJoint,
+            SamplerName::SobolZ => Self::SobolZ,
             SamplerName::Independent => Self::Independent,
         }
     }
@@ -107,6 +113,12 @@ pub fn crop(text: &str) -> Result<Window, String> {
         Some([_, _, _, _]) => Err("the window is empty: X0 < X1 and Y0 < Y1 must hold".into()),
         _ => Err("write X0,Y0,X1,Y1 in pixels, as in 100,100,164,164".into()),
     }
+}
+
+/// `X,Y`.
+pub fn pixel(text: &str) -> Result<[u32; 2], String> {
+    let position = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    position.ok_or_else(|| "write X,Y in pixels, as in 12,34".into())
 }
 
 /// An instruction set of this processor.
