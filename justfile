@@ -24,8 +24,17 @@ deny:
 strategies:
     cargo run --release -p tilecast-bench --bin strategies -- scenes/cornell-box/scene.xml
 
+# The long forms of the tests that say how right images are: docs/accuracy.md.
+accuracy:
+    TILECAST_LONG=1 cargo test --release -p tilecast-core --test truths -- --nocapture
+
+# Which random numbers? The tables of docs/sampling.md, for these scenes.
+samplers +scenes:
+    cargo run --release -p tilecast-bench --bin samplers -- {{scenes}}
+    cargo run --release -p tilecast-bench --bin samplers -- --sampler sobol --replicates 1,2,4,8 --seeds 6 {{scenes}}
+
 # Is the image right? Compares with Mitsuba 3; bench/README.md says how to install it.
-accuracy scene="scenes/cornell-box/scene.xml":
+agreement scene="scenes/cornell-box/scene.xml":
     cargo build --release
     venv/bin/python bench/mitsuba_agreement.py {{scene}} --renders 64 --spp 128 --tilecast target/release/tilecast
 

@@ -1,9 +1,10 @@
 //! A film as OpenEXR. Channels are named as pbrt-v4 names them; attributes carry what renders the image again, bit for bit.
 
+use crate::read::REPLICATES_ATTRIBUTE;
 use anyhow::Context;
 use exr::prelude::*;
 use std::io::{Read, Seek, SeekFrom, Write};
-use tilecast_core::film::{Estimate, Film};
+use tilecast_core::film::{Estimate, Film, REPLICATES};
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::Settings;
 
@@ -102,12 +103,13 @@ fn attribute_end(bytes: &[u8]) -> Option<usize> {
 }
 
 /// What the bits of the image are a function of, and the digest that says which bits.
-fn proof(film: &Film, settings: &Settings, scene: &Digest) -> anyhow::Result<[(&'static str, String); 6]> {
+fn proof(film: &Film, settings: &Settings, scene: &Digest) -> anyhow::Result<[(&'static str, String); 7]> {
     Ok([
         ("tilecast:scene", scene.to_string()),
         ("tilecast:settings", serde_json::to_string(settings)?),
         ("tilecast:seed", settings.seed.to_string()),
         ("tilecast:samples", format!("0..{}", settings.spp)),
+        (REPLICATES_ATTRIBUTE, REPLICATES.to_string()),
         ("tilecast:engine", tilecast_core::VERSION.to_owned()),
         ("tilecast:digest", film.digest().to_string()),
     ])

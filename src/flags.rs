@@ -1,19 +1,25 @@
 //! The command line as people write it, and its way into ready values. Nothing below this file sees a flag.
 
+mod measuring;
+mod replaying;
 mod values;
 
+use crate::bench::Bench;
 use crate::cancel::Cancel;
+use crate::compare::Compare;
 use crate::coordinator::Coordinator;
 use crate::info::Info;
 use crate::output::Output;
 use crate::picture::{Overrides, Picture};
 use crate::render::{Backend, Render};
+use crate::replay::Replay;
 use crate::report::Style;
 use crate::status::Status;
 use crate::submit::Submit;
 use crate::worker::Worker;
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
+use measuring::{BenchFlags, CompareFlags};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use tilecast_core::bvh::simd::Isa;
@@ -39,6 +45,8 @@ pub struct Cli {
 pub enum Task {
     /// `tilecast render`
     Render(Render),
+    /// `tilecast render --pixel`
+    Replay(Replay),
     /// `tilecast coordinator`
     Coordinator(Coordinator),
     /// `tilecast worker`
@@ -51,6 +59,10 @@ pub enum Task {
     Cancel(Cancel),
     /// `tilecast info`
     Info(Info),
+    /// `tilecast compare`
+    Compare(Compare),
+    /// `tilecast bench`
+    Bench(Bench),
 }
 
 #[derive(Subcommand)]
@@ -76,6 +88,12 @@ enum Command {
     /// Says what is in a scene: shapes, materials, lights, memory, and what was read but has no effect.
     #[command(after_help = "Example:\n  tilecast info scenes/cornell-box/scene.xml")]
     Info(InfoFlags),
+    /// Says how far an image is from a reference, and whether chance explains it.
+    #[command(after_help = "Example:\n  tilecast compare image.exr reference.exr --difference difference.png")]
+    Compare(CompareFlags),
+    /// Measures error against time and samples, and plots it.
+    #[command(after_help = measuring::BENCH_EXAMPLES)]
+    Bench(BenchFlags),
 }
 
 const RENDER_EXAMPLES: &str = "\
@@ -86,7 +104,8 @@ Examples:
   tilecast render scene.xml --strategy cosine --spp 16   where directions come from
   tilecast render model.obj --size 640x480               a bare model, under an even sky
   tilecast render scene.xml --crop 100,100,164,164       a part: the same bits as in the whole
-  tilecast render scene.xml --workers 4                  four worker processes: the same bits";
+  tilecast render scene.xml --workers 4                  four worker processes: the same bits
+  tilecast render scene.xml --pixel 12,34 --sample 5     the path of one sample, vertex by vertex";
 
 const CLUSTER_EXAMPLES: &str = "\
 A cluster in three commands:
@@ -174,6 +193,12 @@ struct RenderFlags {
     workers: Option<u32>,
     #[command(flatten)]
     isa: IsaFlags,
+    /// Traces one sample of this pixel again and prints its path; writes no image
+    #[arg(long, value_name = "X,Y", value_parser = values::pixel, requires = "sample", conflicts_with_all = ["output", "preview", "json"])]
+    pixel: Option<[u32; 2]>,
+    /// Which sample of --pixel
+    #[arg(long, value_name = "I", requires = "pixel")]
+    sample: Option<u32>,
 }
 
 /// Worker processes on one machine; more have no cores to run on.
@@ -268,7 +293,7 @@ impl Cli {
     /// [`Usage`] for flags that do not fit each other or this machine.
     pub fn task(self) -> anyhow::Result<Task> {
         Ok(match self.command {
-            Command::Render(flags) => Task::Render(flags.ready()?),
+            Command::Render(flags) => flags.ready()?,
             Command::Coordinator(CoordinatorFlags { listen, style }) => {
                 Task::Coordinator(Coordinator { listen, style: style.ready() })
             }
@@ -278,6 +303,8 @@ impl Cli {
                 Task::Status(Status { connector: connect.ready()?, json })
             }
             Command::Cancel(CancelFlags { connect, job }) => Task::Cancel(Cancel { connector: connect.ready()?, job }),
+            Command::Compare(flags) => Task::Compare(flags.ready()),
+            Command::Bench(flags) => Task::Bench(flags.ready()?),
             Command::Info(InfoFlags { scene, defines, substitute, json }) => {
                 Task::Info(Info { scene, defines, substitute, json })
             }
@@ -286,7 +313,10 @@ impl Cli {
 }
 
 impl RenderFlags {
-    fn ready(self) -> anyhow::Result<Render> {
+    fn ready(self) -> anyhow::Result<Task> {
+        if let (Some(pixel), Some(sample)) = (self.pixel, self.sample) {
+            return Ok(Task::Replay(Replay { picture: self.picture.ready(), pixel, sample }));
+        }
         let backend = match self.workers {
             None => Backend::Here { threads: self.threads.unwrap_or_else(cores) },
             Some(workers) => {
@@ -296,7 +326,8 @@ impl RenderFlags {
         };
         let (tile, style) = (self.output.tile, self.output.style.ready());
         let output = self.output.ready(&self.picture.scene)?;
-        Ok(Render { picture: self.picture.ready(), output, tile, backend, isa: self.isa.ready()?, style })
+        let (picture, isa) = (self.picture.ready(), self.isa.ready()?);
+        Ok(Task::Render(Render { picture, output, tile, backend, isa, style }))
     }
 }
 
@@ -333,7 +364,8 @@ impl PictureFlags {
             without: values::without(&self.without),
             max_depth: self.max_depth.map(|depth| depth.0),
         };
-        Picture { scene: self.scene, defines: self.defines, substitute: self.substitute, overrides }
+        let replay = replaying::command(std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()));
+        Picture { scene: self.scene, defines: self.defines, substitute: self.substitute, overrides, replay }
     }
 }
 

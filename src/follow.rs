@@ -7,7 +7,7 @@ use crate::stop::Stopped;
 use anyhow::{Context, bail};
 use std::time::Instant;
 use tilecast_proto::client::{Client, Watch};
-use tilecast_proto::types::{JobId, JobSpec, JobState, Progress};
+use tilecast_proto::types::{JobId, JobSpec, JobState, Progress, REPLAY_COMMAND};
 use tokio_util::sync::CancellationToken;
 
 /// What those who work for the job have to say.
@@ -34,7 +34,7 @@ pub async fn follow(
     let mut watch = client.watch(id).await?;
     report.started(&ready.blobs.digest, &ready.settings, &output.exr);
     let ended = tokio::select! {
-        ended = to_end(&mut watch, report, news) => ended,
+        ended = to_end(&mut watch, &ready.replay, report, news) => ended,
         () = stop.cancelled() => Err(Stopped.into()),
     };
     let progress = match ended {
@@ -51,6 +51,7 @@ pub async fn follow(
 /// Follows a job to its good end.
 async fn to_end(
     watch: &mut Watch,
+    replay: &str,
     report: &mut Report,
     mut news: impl AsyncFnMut() -> News,
 ) -> anyhow::Result<Progress> {
@@ -70,7 +71,9 @@ async fn to_end(
         match &progress.state {
             JobState::Queued | JobState::Running => {}
             JobState::Finished => return Ok(progress),
-            JobState::Failed(why) => bail!("the image cannot be rendered: {why}"),
+            JobState::Failed(why) => {
+                bail!("the image cannot be rendered: {}", why.replace(REPLAY_COMMAND, replay))
+            }
             JobState::Cancelled => bail!("someone cancelled the job; nothing was written"),
         }
     }

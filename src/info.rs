@@ -90,7 +90,7 @@ struct ImageFacts {
 /// # Errors
 /// What is wrong with the scene's files.
 pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Result<()> {
-    let picture = Picture { scene, defines, substitute, overrides: Overrides::default() };
+    let picture = Picture { scene, defines, substitute, overrides: Overrides::default(), replay: String::new() };
     let facts = tokio::task::spawn_blocking(move || picture.load().map(|(scene, ready)| facts(&scene, ready))).await;
     let facts = facts.context("loading panicked")??;
     if json {
@@ -101,7 +101,7 @@ pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Res
     Ok(())
 }
 
-fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions }: Ready) -> Facts {
+fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions, .. }: Ready) -> Facts {
     let triangles_of = |shapes: &[Shape]| -> usize {
         shapes.iter().filter_map(|shape| mesh_of(scene, &shape.geometry)).map(|mesh| mesh.triangles.len()).sum()
     };
@@ -154,7 +154,8 @@ fn mesh_of<'a>(scene: &'a Scene, geometry: &Geometry) -> Option<&'a Mesh> {
     }
 }
 
-fn bsdf_name(bsdf: &Bsdf) -> &'static str {
+/// The plugin's name.
+pub fn bsdf_name(bsdf: &Bsdf) -> &'static str {
     match bsdf {
         Bsdf::Diffuse { .. } => "diffuse",
         Bsdf::Conductor { .. } => "conductor",

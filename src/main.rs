@@ -1,7 +1,9 @@
 //! The one binary. Reads flags, does what they say, and turns every end into an exit code: 0 done, 1 failed, 2 usage.
 
+mod bench;
 mod cancel;
 mod children;
+mod compare;
 mod coordinator;
 mod exr;
 mod flags;
@@ -10,7 +12,9 @@ mod info;
 mod output;
 mod picture;
 mod preview;
+mod read;
 mod render;
+mod replay;
 mod report;
 mod status;
 mod stop;
@@ -54,11 +58,14 @@ async fn perform(task: Task) -> anyhow::Result<()> {
     });
     match task {
         Task::Render(render) => render::run(render).await,
+        Task::Replay(replay) => replay::run(replay).await,
         Task::Coordinator(coordinator) => coordinator::run(coordinator).await,
         Task::Worker(worker) => worker::run(worker).await,
         Task::Submit(submit) => submit::run(submit).await,
         Task::Status(status) => status::run(status).await,
         Task::Cancel(cancel) => cancel::run(cancel).await,
+        Task::Bench(bench) => bench::run(bench).await,
+        Task::Compare(compare) => compare::run(compare).await,
         Task::Info(info) => info::run(info).await,
     }
 }

@@ -47,7 +47,10 @@ impl Output {
 }
 
 /// The path, with links followed, so that what a link points to is replaced and not the link.
-fn writable(path: PathBuf) -> anyhow::Result<PathBuf> {
+///
+/// # Errors
+/// A folder that is missing or refuses, or something else that bears the name.
+pub fn writable(path: PathBuf) -> anyhow::Result<PathBuf> {
     let shown = path.display().to_string();
     let path = if path.is_symlink() { path.canonicalize().with_context(|| format!("-o {shown}"))? } else { path };
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -64,7 +67,10 @@ fn writable(path: PathBuf) -> anyhow::Result<PathBuf> {
 }
 
 /// Writes beside the file, and renames when all is there.
-fn replace(path: &Path, write: impl FnOnce(&mut AtomicWriteFile) -> anyhow::Result<()>) -> anyhow::Result<()> {
+///
+/// # Errors
+/// What `write` fails with, or the file.
+pub fn replace(path: &Path, write: impl FnOnce(&mut AtomicWriteFile) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let mut file = AtomicWriteFile::options().read(true).open(path)?;
     write(&mut file)?;
     Ok(file.commit()?)

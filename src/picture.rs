@@ -18,6 +18,8 @@ pub struct Picture {
     pub substitute: bool,
     /// What is to be otherwise than the file says.
     pub overrides: Overrides,
+    /// The command that renders this picture here; with `--pixel` and `--sample` it replays a sample.
+    pub replay: String,
 }
 
 /// Settings that win over the scene file's, where there is a value.
@@ -53,6 +55,8 @@ pub struct Ready {
     pub notes: Vec<String>,
     /// What was replaced or left out, if that was allowed.
     pub substitutions: Vec<String>,
+    /// See [`Picture::replay`].
+    pub replay: String,
 }
 
 impl Ready {
@@ -76,7 +80,7 @@ impl Picture {
         let blobs = scene.blobs();
         let told = |notes: &[Note]| notes.iter().map(ToString::to_string).collect();
         let (notes, substitutions) = (told(&notes), told(&substitutions));
-        Ok((scene, Ready { blobs, settings, notes, substitutions }))
+        Ok((scene, Ready { blobs, settings, notes, substitutions, replay: self.replay.clone() }))
     }
 }
 

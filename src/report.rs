@@ -5,6 +5,7 @@ use serde::Serialize;
 use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
+use tilecast_core::film::RelativeError;
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::Settings;
 use tilecast_proto::types::Progress;
@@ -62,16 +63,41 @@ enum Event<'a> {
         samples_per_second: f64,
         seconds_left: Option<f64>,
         workers: u32,
-        relative_error: Option<f32>,
+        #[serde(flatten)]
+        error: ErrorFields,
     },
     Finished {
         digest: &'a str,
         spp: u32,
         seconds: f64,
         samples_per_second: f64,
-        relative_error: Option<f32>,
+        #[serde(flatten)]
+        error: ErrorFields,
         output: &'a str,
     },
+}
+
+/// The estimated relative error, and its 95 % confidence interval.
+#[derive(Serialize)]
+pub struct ErrorFields {
+    relative_error: Option<f32>,
+    relative_error_low: Option<f32>,
+    relative_error_high: Option<f32>,
+}
+
+impl From<Option<RelativeError>> for ErrorFields {
+    fn from(error: Option<RelativeError>) -> Self {
+        Self {
+            relative_error: error.map(|e| e.value),
+            relative_error_low: error.map(|e| e.low),
+            relative_error_high: error.map(|e| e.high),
+        }
+    }
+}
+
+/// A relative error as people read it, with its 95 % confidence interval.
+pub fn percent(RelativeError { value, low, high }: &RelativeError) -> String {
+    format!("{:.2} % ({:.2} to {:.2})", 100.0 * value, 100.0 * low, 100.0 * high)
 }
 
 /// Tells what happens.
@@ -151,7 +177,7 @@ impl Report {
                 samples_per_second: rate,
                 seconds_left: left,
                 workers,
-                relative_error,
+                error: relative_error.into(),
             }),
             Style::Bar => {
                 self.bar.set_position((fraction * BAR_STEPS as f64) as u64);
@@ -172,11 +198,11 @@ impl Report {
             spp,
             seconds,
             samples_per_second: rate,
-            relative_error,
+            error: relative_error.into(),
             output: &output,
         };
         self.say(&event, || {
-            let error = relative_error.map_or_else(String::new, |e| format!(", relative error {:.2} %", 100.0 * e));
+            let error = relative_error.map_or_else(String::new, |e| format!(", relative error {}", percent(&e)));
             format!(
                 "wrote {output}: {spp} samples a pixel in {seconds:.1} s ({:.2} Msamples/s){error}\ndigest {digest}",
                 rate / 1e6
@@ -199,9 +225,9 @@ fn rate(progress: &Progress) -> f64 {
     if seconds > 0.0 { progress.samples_done as f64 / seconds } else { 0.0 }
 }
 
-fn line(fraction: f64, rate: f64, left: Option<f64>, error: Option<f32>) -> String {
+fn line(fraction: f64, rate: f64, left: Option<f64>, error: Option<RelativeError>) -> String {
     let left = left.map_or_else(String::new, |s| format!(", {} left", duration(s)));
-    let error = error.map_or_else(String::new, |e| format!(", relative error {:.2} %", 100.0 * e));
+    let error = error.map_or_else(String::new, |e| format!(", relative error {}", percent(&e)));
     format!("{:3.0} %, {:.2} Msamples/s{left}{error}", 100.0 * fraction, rate / 1e6)
 }
 

@@ -1,6 +1,6 @@
 //! `tilecast status`: a coordinator's jobs and workers.
 
-use crate::report::print;
+use crate::report::{ErrorFields, percent, print};
 use serde::Serialize;
 use tilecast_proto::client::Client;
 use tilecast_proto::transport::Connector;
@@ -25,7 +25,8 @@ enum Line<'a> {
         samples_done: u64,
         samples_total: u64,
         workers: u32,
-        relative_error: Option<f32>,
+        #[serde(flatten)]
+        error: ErrorFields,
         seconds: f64,
         scene: String,
     },
@@ -70,7 +71,7 @@ fn job_line(job: &Progress) -> Line<'_> {
         samples_done: job.samples_done,
         samples_total: job.samples_total,
         workers: job.workers,
-        relative_error: job.relative_error,
+        error: job.relative_error.into(),
         seconds: job.elapsed.as_secs_f64(),
         scene: job.scene.to_string(),
     }
@@ -104,13 +105,19 @@ pub fn state(state: &JobState) -> (&str, Option<&str>) {
 }
 
 fn table(jobs: &[Progress], workers: &[WorkerStatus]) -> String {
-    let mut lines =
-        vec![format!("{:<20} {:<10} {:>6} {:>8} {:>9}  name", "job", "state", "done", "workers", "seconds")];
+    let mut lines = vec![format!(
+        "{:<20} {:<10} {:>6} {:>8} {:>9}  {:<22} name",
+        "job", "state", "done", "workers", "seconds", "error"
+    )];
     for job in jobs {
         let (word, why) = state(&job.state);
         let done = 100.0 * job.samples_done as f64 / job.samples_total as f64;
         let seconds = job.elapsed.as_secs_f64();
-        lines.push(format!("{:<20} {word:<10} {done:>4.0} % {:>8} {seconds:>9.1}  {}", job.job, job.workers, job.name));
+        let error = job.relative_error.map_or_else(String::new, |error| percent(&error));
+        lines.push(format!(
+            "{:<20} {word:<10} {done:>4.0} % {:>8} {seconds:>9.1}  {error:<22} {}",
+            job.job, job.workers, job.name
+        ));
         lines.extend(why.map(|why| format!("    {why}")));
     }
     let columns = ("worker", "threads", "isa", "units", "Msamples/s");

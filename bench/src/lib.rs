@@ -2,8 +2,6 @@
 //!
 //! It uses `tilecast-core` alone; what the cluster costs is measured from outside, by whole processes.
 
-pub mod plot;
-
 use anyhow::Context;
 use rayon::prelude::*;
 use std::path::Path;
@@ -65,4 +63,12 @@ pub fn means(film: &Film) -> Vec<f64> {
 pub fn mse(image: &[f64], reference: &[f64]) -> f64 {
     let sum: f64 = image.iter().zip(reference).map(|(a, b)| (a - b) * (a - b)).sum();
     sum / reference.len() as f64
+}
+
+/// The whole picture in about so many pixels, in its own aspect.
+pub fn small(settings: &Settings, pixels: u32) -> Window {
+    let (width, height) = (f64::from(settings.film.width), f64::from(settings.film.height));
+    let scale = (f64::from(pixels) / (width * height)).sqrt();
+    let [x1, y1] = [width, height].map(|side| ((side * scale).round() as u32).max(1));
+    Window { x0: 0, y0: 0, x1, y1 }
 }

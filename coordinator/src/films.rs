@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use tilecast_core::film::{Film, PixelSums, REPLICATES, TileSums};
+use tilecast_core::film::{Film, PixelSums, REPLICATES, RelativeError, TileSums};
 use tilecast_core::settings::Settings;
 use tilecast_proto::convert::film_rows;
 use tilecast_proto::types::JobId;
@@ -103,7 +103,7 @@ impl Films {
     }
 
     /// See [`Film::relative_error`].
-    pub fn relative_error(&self, job: JobId) -> Option<f32> {
+    pub fn relative_error(&self, job: JobId) -> Option<RelativeError> {
         let film = self.film(job)?;
         lock(&film).relative_error(ERROR_PIXELS_MAX)
     }

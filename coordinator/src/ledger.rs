@@ -17,6 +17,7 @@ use crate::plan::{Plan, TooManyTiles};
 use job::{Job, UnitKey};
 use std::collections::BTreeMap;
 use std::time::Duration;
+use tilecast_core::film::RelativeError;
 use tilecast_proto::convert::work_key;
 use tilecast_proto::limits::{LEASE_SILENCE_MS, LEASES_HELD_MAX, LEASES_PER_REPLY_MAX};
 use tilecast_proto::types::{
@@ -353,7 +354,7 @@ impl Ledger {
     }
 
     /// Notes what the film says of its error.
-    pub fn set_relative_error(&mut self, id: JobId, error: Option<f32>) {
+    pub fn set_relative_error(&mut self, id: JobId, error: Option<RelativeError>) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.relative_error = error;
         }

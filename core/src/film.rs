@@ -159,6 +159,20 @@ pub struct Estimate {
     pub count: u64,
 }
 
+/// The estimated relative error of a picture: √(Σ variance of the mean / Σ mean²) over pixels and channels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RelativeError {
+    /// The estimate.
+    pub value: f32,
+    /// The lower end of its 95 % confidence interval.
+    pub low: f32,
+    /// The upper end.
+    pub high: f32,
+}
+
+/// 95 % of the normal distribution lie within so many standard deviations.
+const NORMAL_95: f64 = 1.96;
+
 impl Film {
     /// An empty film for a job.
     pub fn new(settings: &Settings) -> Self {
@@ -265,18 +279,34 @@ impl Film {
         valid.then_some(Self { window, scale_exponent, sums, counts })
     }
 
-    /// The estimated relative error of the picture, √(Σ variance of the mean / Σ mean²) over at most `pixels_max` pixels
-    /// spread evenly and all channels; `None` while too few replicates have samples, or for a black picture.
-    pub fn relative_error(&self, pixels_max: u64) -> Option<f32> {
-        let step = self.window.area().div_ceil(pixels_max.max(1)).max(1);
-        let (mut error, mut power) = (0.0, 0.0);
-        for i in (0..self.window.area()).step_by(usize::try_from(step).ok()?) {
+    /// The estimated relative error of the picture over at most `pixels_max` pixels spread evenly; `None` while too few
+    /// replicates have samples, or for a black picture.
+    pub fn relative_error(&self, pixels_max: u64) -> Option<RelativeError> {
+        let area = self.window.area();
+        let step = area.div_ceil(pixels_max.max(1)).max(1);
+        let (mut n, mut error, mut squares, mut power) = (0.0, 0.0, 0.0, 0.0);
+        for i in (0..area).step_by(usize::try_from(step).ok()?) {
             let width = u64::from(self.window.width());
             let estimate = self.estimate(self.window.x0 + (i % width) as u32, self.window.y0 + (i / width) as u32);
-            error += estimate.variance.iter().map(|&v| f64::from(v)).sum::<f64>();
+            let variance = estimate.variance.iter().map(|&v| f64::from(v)).sum::<f64>();
+            n += 1.0;
+            error += variance;
+            squares += variance * variance;
             power += estimate.mean.iter().map(|&m| f64::from(m) * f64::from(m)).sum::<f64>();
         }
-        (error.is_finite() && power > 0.0).then(|| (error / power).sqrt() as f32)
+        if !error.is_finite() || power <= 0.0 {
+            return None;
+        }
+        let value = (error / power).sqrt();
+        // A variance v estimated with ν degrees of freedom itself has the variance 2v²/ν, of which v̂² · 2/(ν + 2) is the unbiased
+        // estimate; pixels that were left out add how much the others differ.
+        let of_estimates = squares * 2.0 / (REPLICATES as f64 + 1.0);
+        let of_pixels = (squares - error * error / n).max(0.0) * n / (n - 1.0).max(1.0);
+        let seen = n / area as f64;
+        let deviation = (seen * of_estimates + (1.0 - seen) * of_pixels).sqrt();
+        // The root halves relative deviations; an interval in the logarithm stays above zero.
+        let width = if error > 0.0 { libm::exp(0.5 * NORMAL_95 * deviation / error) } else { 1.0 };
+        Some(RelativeError { value: value as f32, low: (value / width) as f32, high: (value * width) as f32 })
     }
 
     fn index(&self, x: u32, y: u32) -> usize {

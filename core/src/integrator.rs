@@ -16,15 +16,20 @@ use crate::settings::{Integrator, IntegratorKind, Strategy, Without};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_pdf, uniform_hemisphere};
+use crate::witness::{Cause, Event, Witness};
 use crate::world::World;
 use glam::{Vec2, Vec3};
 
 /// The largest probability to go on under Russian roulette, so that a path in a lossless scene ends some day.
 const CONTINUATION_MAX: f32 = 0.95;
 
-/// Branches of a path. What leads to the first scattering surface costs about as much as one branch behind it and varies a
-/// tenth as much: by the ratio of both roots, three would be best in the Cornell box, and a power of two keeps points in nets.
+/// Samples of direct light a path under `direct`. What leads to the surface costs about as much as one of them and varies less; a
+/// power of two keeps points in nets. (Under `path`, where a branch has many surfaces, it gained a fifth in the Cornell box and
+/// lost a third in rooms: there a path never branches.)
 const BRANCHES: u32 = 4;
+
+/// Emitters in a row that a camera ray passes when they are hidden. A ray within the plane of one may meet it again and again.
+const HIDDEN_MAX: u32 = 1 << 12;
 
 /// Surfaces before early roulette. After the first alone it costs where that leads to bright light.
 const EARLY_DEPTH: u32 = 2;
@@ -72,6 +77,16 @@ struct Path {
     sampler: Sampler,
 }
 
+impl Path {
+    /// What the sample gains by light that the path found, of this weight beside light sampling.
+    #[inline(always)]
+    fn gain(&self, radiance: Vec3, mis: f32, witness: &mut impl Witness) -> Vec3 {
+        let gained = self.throughput * self.share * (radiance * mis);
+        witness.see(|| Event::Emission { radiance, mis, pdf: self.origin.pdf, gained });
+        gained
+    }
+}
+
 /// A surface that scatters a path.
 #[derive(Clone, Copy, Debug)]
 struct Vertex<'w> {
@@ -83,9 +98,8 @@ struct Vertex<'w> {
     lobe: f32,
 }
 
-/// The branches of a path at the first surface that scatters into more than a few directions. What leads there costs as much as
-/// what follows but varies less; so what follows is sampled several times. Random numbers behind are those of so many times the
-/// samples, well distributed among all branches of all samples.
+/// The branches of a path at the surface whose direct light is sampled several times. Their random numbers are those of so many
+/// times the samples, well distributed among all branches of all samples.
 #[derive(Clone, Copy, Debug)]
 struct Fan<'w> {
     path: Path,
@@ -111,7 +125,14 @@ impl<'w> Fan<'w> {
 impl Estimator {
     /// Radiance along a camera ray.
     #[inline(always)]
-    pub fn radiance<L: Lanes>(&self, lanes: L, world: &World, ray: Ray, sampler: Sampler) -> Vec3 {
+    pub fn radiance<L: Lanes>(
+        &self,
+        lanes: L,
+        world: &World,
+        ray: Ray,
+        sampler: Sampler,
+        witness: &mut impl Witness,
+    ) -> Vec3 {
         let mut radiance = Vec3::ZERO;
         let mut path = Path {
             ray,
@@ -124,9 +145,10 @@ impl Estimator {
             sampler,
         };
         let mut fan: Option<Fan> = None;
-        let mut next = self.arrive(lanes, world, &mut path, &mut radiance);
+        let mut next = self.arrive(lanes, world, &mut path, &mut radiance, witness);
         loop {
             if let (Some(vertex), None) = (next, &fan)
+                && self.integrator.kind == IntegratorKind::Direct
                 && !self.without.splitting
                 && !vertex.shading.closure.is_delta()
             {
@@ -138,14 +160,17 @@ impl Estimator {
                 (None, None) => return radiance,
                 (None, Some(fan)) => {
                     let Some((from, vertex)) = fan.next() else { return radiance };
+                    witness.see(|| Event::Branch { number: fan.branch, of: BRANCHES });
                     path = from;
                     vertex
                 }
             };
-            next = if self.scatter(lanes, world, &vertex, &mut path, &mut radiance) {
-                self.arrive(lanes, world, &mut path, &mut radiance)
-            } else {
-                None
+            next = match self.scatter(lanes, world, &vertex, &mut path, &mut radiance, witness) {
+                Ok(()) => self.arrive(lanes, world, &mut path, &mut radiance, witness),
+                Err(cause) => {
+                    witness.see(|| Event::End(cause));
+                    None
+                }
             };
         }
     }
@@ -164,25 +189,32 @@ impl Estimator {
         world: &'w World,
         path: &mut Path,
         radiance: &mut Vec3,
+        witness: &mut impl Witness,
     ) -> Option<Vertex<'w>> {
         let hidden = path.depth == 0 && self.integrator.hide_emitters;
         let surface = match next_surface(lanes, world, &mut path.ray, hidden, path.is_last && !self.without.blind_ends)
         {
             Next::Surface(surface) => surface,
-            Next::Dark => return None,
+            Next::Dark => {
+                witness.see(|| Event::End(Cause::Dark));
+                return None;
+            }
             Next::Background => {
-                if !hidden {
-                    let found = self.background(world, path.origin, path.ray.direction);
-                    *radiance += path.throughput * path.share * found;
+                if !hidden && let Some((emitted, mis)) = self.background(world, path.origin, path.ray.direction) {
+                    *radiance += path.gain(emitted, mis, witness);
                 }
+                witness.see(|| Event::End(Cause::Escaped));
                 return None;
             }
         };
+        witness.see(|| Event::Hit { depth: path.depth, surface, throughput: path.throughput });
         let wo = -path.ray.direction;
         if let Some(light) = surface.light {
-            *radiance += path.throughput * path.share * self.emitted(world, &surface, light, path.origin, wo);
+            let (emitted, mis) = self.emitted(world, &surface, light, path.origin, wo);
+            *radiance += path.gain(emitted, mis, witness);
         }
         if path.is_last {
+            witness.see(|| Event::End(Cause::Depth));
             return None;
         }
         path.sampler.at_surface(path.depth);
@@ -192,7 +224,7 @@ impl Estimator {
         Some(Vertex { surface, shading, wo, lobe })
     }
 
-    /// Gains light that the surface scatters, and gives the path its next ray; false where it ends.
+    /// Gains light that the surface scatters, and gives the path its next ray, or says why it ends.
     #[inline(always)]
     fn scatter<L: Lanes>(
         &self,
@@ -201,15 +233,15 @@ impl Estimator {
         vertex: &Vertex,
         path: &mut Path,
         radiance: &mut Vec3,
-    ) -> bool {
+        witness: &mut impl Witness,
+    ) -> Result<(), Cause> {
         let Vertex { surface, shading, wo, lobe } = vertex;
         if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !shading.closure.is_delta() {
-            let found = self.direct(lanes, world, surface, shading, *wo, &path.sampler);
-            *radiance += path.throughput * path.share * found;
+            *radiance += self.direct(lanes, world, vertex, path, witness);
         }
-        let Some(next) = self.continuation(shading, *wo, *lobe, path.sampler.two(Slot::Direction)) else {
-            return false;
-        };
+        let next = self.continuation(shading, *wo, *lobe, path.sampler.two(Slot::Direction)).ok_or(Cause::Absorbed)?;
+        let wi = shading.frame.to_world(next.wi);
+        witness.see(|| Event::Continuation { wi, pdf: next.pdf, weight: next.weight });
         path.throughput *= next.weight;
         path.eta *= next.eta;
         path.depth += 1;
@@ -221,15 +253,17 @@ impl Estimator {
         if !path.is_last {
             let survival = self.survival(path);
             if survival < 1.0 {
-                if path.sampler.one(Slot::Roulette) >= survival {
-                    return false;
+                let survived = path.sampler.one(Slot::Roulette) < survival;
+                witness.see(|| Event::Roulette { survival, survived });
+                if !survived {
+                    return Err(Cause::Roulette);
                 }
                 path.throughput /= survival;
             }
         }
-        path.ray = surface.ray(shading.frame.to_world(next.wi), f32::INFINITY);
+        path.ray = surface.ray(wi, f32::INFINITY);
         path.origin = Origin { position: surface.position, normal: surface.frame.n, pdf: next.pdf };
-        path.throughput != Vec3::ZERO
+        if path.throughput == Vec3::ZERO { Err(Cause::Absorbed) } else { Ok(()) }
     }
 
     /// The probability of a path to go on.
@@ -242,49 +276,47 @@ impl Estimator {
         if path.depth >= self.integrator.rr_depth { early.min(expected).min(CONTINUATION_MAX) } else { early }
     }
 
-    /// Next-event estimation: light from one point of one light, if the way is free.
+    /// Next-event estimation: light from one point of one light, if the way is free, times the throughput.
     #[inline(always)]
     fn direct<L: Lanes>(
         &self,
         lanes: L,
         world: &World,
-        surface: &Surface,
-        shading: &Shading,
-        wo: Vec3,
-        sampler: &Sampler,
+        Vertex { surface, shading, wo, .. }: &Vertex,
+        path: &Path,
+        witness: &mut impl Witness,
     ) -> Vec3 {
-        let (choice, u) = (|| sampler.one(Slot::Light), sampler.two(Slot::LightPoint));
-        let mis = self.strategy == Strategy::Mis;
-        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, mis) else {
+        let (choice, u) = (|| path.sampler.one(Slot::Light), path.sampler.two(Slot::LightPoint));
+        let with_bsdf = self.strategy == Strategy::Mis;
+        let Some(light) = world.lights.sample(&world.geometry, &world.textures, surface, choice, u, with_bsdf) else {
             return Vec3::ZERO;
         };
-        let scattered = shading.eval(wo, shading.frame.to_local(light.wi));
-        let weight = if mis { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
-        let contribution = scattered.value * light.weight * weight;
-        if contribution == Vec3::ZERO || world.geometry.occluded(lanes, &light.shadow_ray) {
-            return Vec3::ZERO;
-        }
-        contribution
+        let scattered = shading.eval(*wo, shading.frame.to_local(light.wi));
+        let mis = if with_bsdf { power_heuristic(light.pdf, scattered.pdf) } else { 1.0 };
+        let contribution = scattered.value * light.weight * mis;
+        let visible = contribution != Vec3::ZERO && !world.geometry.occluded(lanes, &light.shadow_ray);
+        let gained = if visible { path.throughput * path.share * contribution } else { Vec3::ZERO };
+        let (wi, pdf, bsdf_pdf) = (light.wi, light.pdf, scattered.pdf);
+        witness.see(|| Event::Light { wi, pdf, bsdf_pdf, mis, visible, gained });
+        gained
     }
 
-    /// Radiance from beyond the scene.
+    /// Radiance from beyond the scene, and its weight.
     #[inline(always)]
-    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Vec3 {
-        match world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis) {
-            Some((radiance, pdf)) => radiance * self.weight_of_hit(origin, pdf),
-            None => Vec3::ZERO,
-        }
+    fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Option<(Vec3, f32)> {
+        let (radiance, pdf) = world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis)?;
+        Some((radiance, self.weight_of_hit(origin, pdf)))
     }
 
-    /// Radiance emitted by the surface that was hit.
+    /// Radiance emitted by the surface that was hit, and its weight.
     #[inline(always)]
-    fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> Vec3 {
+    fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> (Vec3, f32) {
         let emitted = world.lights.emitted(&world.textures, surface, light, wo);
         if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
-            return emitted * self.weight_of_hit(origin, 0.0);
+            return (emitted, self.weight_of_hit(origin, 0.0));
         }
         let light_pdf = world.lights.pdf(&world.geometry, origin.position, origin.normal, surface, light);
-        emitted * self.weight_of_hit(origin, light_pdf)
+        (emitted, self.weight_of_hit(origin, light_pdf))
     }
 
     /// The weight of a light that a ray hit: one where next-event estimation could not have found it or is not used.
@@ -336,7 +368,7 @@ fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool, 
     if last && !world.lights.may_meet(lanes, ray) {
         return Next::Dark;
     }
-    loop {
+    for _ in 0..HIDDEN_MAX {
         let Some(hit) = world.geometry.closest(lanes, ray) else { return Next::Background };
         if last && world.geometry.light_of(&hit).is_none() {
             return Next::Dark;
@@ -347,6 +379,7 @@ fn next_surface<L: Lanes>(lanes: L, world: &World, ray: &mut Ray, hidden: bool, 
         }
         *ray = surface.ray(ray.direction, ray.t_max - hit.t());
     }
+    Next::Dark
 }
 
 /// Veach's power heuristic with β = 2, for one sample of each technique; `a` may be infinite.

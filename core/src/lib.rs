@@ -25,11 +25,13 @@ pub mod scene;
 pub mod settings;
 pub mod shading;
 pub mod shape;
+mod sobol;
 pub mod surface;
 pub mod texture;
 pub mod trace;
 pub mod trig;
 pub mod warp;
+pub mod witness;
 pub mod world;
 
 /// The engine's version. The bits of an image depend on it: workers of one job must have the same.

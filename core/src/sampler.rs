@@ -1,10 +1,12 @@
 //! Random numbers as pure functions of (seed, pixel, sample index, dimension).
 //!
 //! A *slot* is one decision of a path (a direction, a light, a coin); it takes one or two numbers. Slots are numbered from
-//! the camera on and are independent of each other (padding); within a slot, the samples of a pixel are well distributed.
+//! the camera on and are independent of each other (padding); within a slot, the samples of a pixel are well distributed. With
+//! [`SamplerKind::SobolJoint`] the slots of one surface are distributed well together, too. docs/sampling.md compares the kinds.
 
 use crate::film::REPLICATES;
 use crate::settings::SamplerKind;
+use crate::sobol::{morton, owen_hash, pascal, sobol, z_index};
 use glam::Vec2;
 
 /// Slots before the first surface: the positions on the film and on the lens.
@@ -27,38 +29,48 @@ pub enum Slot {
     Roulette = 4,
 }
 
+/// Sobol' coordinates of the slots of a surface, first ones, for [`SamplerKind::SobolJoint`]: directions and points on lights
+/// need the best pairs.
+const JOINT: [u32; SURFACE_SLOTS as usize] = [4, 0, 5, 2, 6];
+
 /// The random numbers of one sample of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampler {
     kind: SamplerKind,
-    /// Hash of seed, pixel and replicate.
+    /// Hash of seed, pixel and replicate; for [`SamplerKind::SobolZ`] of seed and replicate.
     stream: u64,
     /// Position in the replicate's sequence.
     index: u32,
+    /// For [`SamplerKind::SobolZ`] alone: position of the pixel along the Z curve, and the bits of `index` behind it.
+    curve: (u64, u32),
     /// Slot of the next decision's group.
     base: u32,
 }
 
 impl Sampler {
-    /// The numbers of sample `index` of pixel (x, y). Indices deal samples out to the replicates in turn.
+    /// The numbers of sample `index` of pixel (x, y). Indices deal samples out to the replicates in turn. `spp`, the samples
+    /// that a pixel will have, matters to [`SamplerKind::SobolZ`] alone.
     #[inline]
-    pub fn new(kind: SamplerKind, seed: u64, x: u32, y: u32, index: u32) -> Self {
-        let replicate = index % REPLICATES as u32;
-        let pixel = mix64(seed ^ mix64(u64::from(x) << 32 | u64::from(y)));
-        let stream = mix64(pixel.wrapping_add(u64::from(replicate)));
-        Self { kind, stream, index: index / REPLICATES as u32, base: 0 }
+    pub fn new(kind: SamplerKind, seed: u64, x: u32, y: u32, index: u32, spp: u32) -> Self {
+        let (replicate, index) = (u64::from(index % REPLICATES as u32), index / REPLICATES as u32);
+        let (pixel, curve) = match kind {
+            SamplerKind::SobolZ => (seed, (morton(x, y), spp.div_ceil(REPLICATES as u32).next_power_of_two().ilog2())),
+            _ => (seed ^ mix64(u64::from(x) << 32 | u64::from(y)), (0, 0)),
+        };
+        let stream = mix64(mix64(pixel).wrapping_add(replicate));
+        Self { kind, stream, index, curve, base: 0 }
     }
 
     /// The position on the film, in [0,1)².
     #[inline]
     pub fn film(&self) -> Vec2 {
-        self.pair(0)
+        self.pair(0, 0, 0)
     }
 
     /// The position on the lens, in [0,1)².
     #[inline]
     pub fn lens(&self) -> Vec2 {
-        self.pair(1)
+        self.pair(1, 0, 2)
     }
 
     /// From here on, slots are those of the surface at `depth` (0: the first hit).
@@ -68,47 +80,62 @@ impl Sampler {
     }
 
     /// From here on, the numbers of sample `branch` of `count` that this one becomes: as well distributed among all of them.
+    /// `count` is a power of two.
     #[inline(always)]
     pub fn branch(&self, branch: u32, count: u32) -> Self {
-        Self { index: self.index * count + branch, ..*self }
+        let (pixel, bits) = self.curve;
+        Self { index: self.index * count + branch, curve: (pixel, bits + count.ilog2()), ..*self }
     }
 
     /// One number in [0,1).
     #[inline]
     pub fn one(&self, slot: Slot) -> f32 {
+        let dimension = JOINT[slot as usize];
         let slot = self.base.wrapping_add(slot as u32);
+        if self.kind == SamplerKind::Independent {
+            return unit(self.hash(slot) as u32);
+        }
+        let (index, hash) = self.point(slot, self.base);
         match self.kind {
-            SamplerKind::Independent => unit(self.hash(slot) as u32),
-            SamplerKind::Sobol => {
-                let hash = self.slot_seed(slot);
-                unit(scramble_reversed(shuffle(self.index, hash as u32), (hash >> 32) as u32))
-            }
+            SamplerKind::SobolJoint => unit(scramble_reversed(sobol(index, dimension), (hash >> 32) as u32)),
+            _ => unit(scramble_reversed(index, (hash >> 32) as u32)),
         }
     }
 
     /// Two numbers in [0,1)².
     #[inline]
     pub fn two(&self, slot: Slot) -> Vec2 {
-        self.pair(self.base.wrapping_add(slot as u32))
+        self.pair(self.base.wrapping_add(slot as u32), self.base, JOINT[slot as usize])
     }
 
     /// Burley 2020, "Practical Hash-based Owen Scrambling", section 4: the index is shuffled, then each coordinate of the
     /// Sobol' point is scrambled by itself. The first coordinate is the index with its bits reversed.
     #[inline]
-    fn pair(&self, slot: u32) -> Vec2 {
-        match self.kind {
-            SamplerKind::Independent => {
-                let hash = self.hash(slot);
-                Vec2::new(unit(hash as u32), unit((hash >> 32) as u32))
-            }
-            SamplerKind::Sobol => {
-                let hash = self.slot_seed(slot);
-                let index = shuffle(self.index, hash as u32);
-                let x = scramble_reversed(index, (hash >> 32) as u32);
-                let y = scramble_reversed(pascal(index), mix32(hash as u32 ^ 0x9e37_79b9));
-                Vec2::new(unit(x), unit(y))
-            }
+    fn pair(&self, slot: u32, group: u32, dimension: u32) -> Vec2 {
+        if self.kind == SamplerKind::Independent {
+            let hash = self.hash(slot);
+            return Vec2::new(unit(hash as u32), unit((hash >> 32) as u32));
         }
+        let (index, hash) = self.point(slot, group);
+        let (x, y) = match self.kind {
+            SamplerKind::SobolJoint => (sobol(index, dimension), sobol(index, dimension + 1)),
+            _ => (index, pascal(index)),
+        };
+        let x = scramble_reversed(x, (hash >> 32) as u32);
+        let y = scramble_reversed(y, mix32(hash as u32 ^ 0x9e37_79b9));
+        Vec2::new(unit(x), unit(y))
+    }
+
+    /// The shuffled index of the Sobol' point and the hash that scrambles its coordinates.
+    #[inline]
+    fn point(&self, slot: u32, group: u32) -> (u32, u64) {
+        let hash = self.slot_seed(slot);
+        let index = match self.kind {
+            SamplerKind::SobolJoint => shuffle(self.index, self.slot_seed(group) as u32),
+            SamplerKind::SobolZ => z_index(self.curve, self.index, hash as u32),
+            SamplerKind::Sobol | SamplerKind::Independent => shuffle(self.index, hash as u32),
+        };
+        (index, hash)
     }
 
     #[inline]
@@ -145,17 +172,6 @@ fn mix32(mut x: u32) -> u32 {
     x ^ (x >> 16)
 }
 
-/// Owen scrambling of a number whose bits are reversed: each bit is flipped by a hash of the bits below it. Laine & Karras
-/// 2011 with Vegdahl's constants (2021).
-#[inline]
-fn owen_hash(mut x: u32, seed: u32) -> u32 {
-    x ^= x.wrapping_mul(0x3d20_adea);
-    x = x.wrapping_add(seed);
-    x = x.wrapping_mul((seed >> 16) | 1);
-    x ^= x.wrapping_mul(0x0552_6c56);
-    x ^ x.wrapping_mul(0x53a2_2864)
-}
-
 /// Owen-scrambles a number given with reversed bits, and puts the bits in order.
 #[inline]
 fn scramble_reversed(reversed: u32, seed: u32) -> u32 {
@@ -168,45 +184,55 @@ fn shuffle(index: u32, seed: u32) -> u32 {
     scramble_reversed(index.reverse_bits(), seed)
 }
 
-/// The second Sobol' coordinate of an index, with reversed bits. The generator matrix is Pascal's triangle mod 2, the
-/// fivefold Kronecker power of `[[1,1],[0,1]]`, so five masked shifts apply it: bit i of the result is the parity of C(k, i)
-/// over the set bits k of the index.
-#[inline]
-fn pascal(index: u32) -> u32 {
-    let mut x = index;
-    x ^= (x & 0xaaaa_aaaa) >> 1;
-    x ^= (x & 0xcccc_cccc) >> 2;
-    x ^= (x & 0xf0f0_f0f0) >> 4;
-    x ^= (x & 0xff00_ff00) >> 8;
-    x ^ (x >> 16)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn points(count: u32, replicate: u32, slot: Slot) -> Vec<Vec2> {
+    fn points(kind: SamplerKind, count: u32, replicate: u32, slot: Slot) -> Vec<Vec2> {
         (0..count)
             .map(|i| {
-                let mut sampler = Sampler::new(SamplerKind::Sobol, 7, 3, 5, i * REPLICATES as u32 + replicate);
+                let mut sampler =
+                    Sampler::new(kind, 7, 3, 5, i * REPLICATES as u32 + replicate, count * REPLICATES as u32);
                 sampler.at_surface(2);
                 sampler.two(slot)
             })
             .collect()
     }
 
+    const NETS: [SamplerKind; 3] = [SamplerKind::Sobol, SamplerKind::SobolJoint, SamplerKind::SobolZ];
+
     /// Every elementary interval of 2^k boxes of equal area holds one of the first 2^k points, for every shape of the
     /// boxes: the definition of a (0,k,2)-net. Fails if a shift in `pascal` is wrong.
     #[test]
     fn the_points_of_a_replicate_are_a_net() {
-        for k in [4u32, 8] {
-            let points = points(1 << k, 1, Slot::Direction);
+        for (kind, k) in NETS.into_iter().flat_map(|kind| [(kind, 4u32), (kind, 8)]) {
+            let points = points(kind, 1 << k, 1, Slot::Direction);
             for columns in 0..=k {
                 let (nx, ny) = (1u32 << columns, 1u32 << (k - columns));
                 let mut seen = vec![false; 1 << k];
                 for p in &points {
                     let cell = (p.x * nx as f32) as u32 * ny + (p.y * ny as f32) as u32;
-                    assert!(!std::mem::replace(&mut seen[cell as usize], true), "two points in a {nx}×{ny} cell");
+                    let twice = std::mem::replace(&mut seen[cell as usize], true);
+                    assert!(!twice, "{kind:?}: two points in a {nx}×{ny} cell");
+                }
+            }
+        }
+    }
+
+    /// Any number of samples, not only a power of two, falls evenly into the parts of every slot: of n points a half, a quarter
+    /// or an eighth of the square holds its share, give or take two. Chance alone would miss by √n/2.
+    #[test]
+    fn any_count_is_stratified() {
+        for kind in NETS {
+            for n in [96u32, 100, 333, 1000] {
+                let points = points(kind, n, 0, Slot::LightPoint);
+                for parts in [2u32, 4, 8] {
+                    let mut counts = vec![0i64; parts as usize];
+                    points.iter().for_each(|p| counts[(p.x * parts as f32) as usize] += 1);
+                    let even = f64::from(n) / f64::from(parts);
+                    for count in counts {
+                        assert!((count as f64 - even).abs() <= 3.0, "{kind:?}: {count} of {n} in one of {parts} parts");
+                    }
                 }
             }
         }
@@ -214,13 +240,15 @@ mod tests {
 
     #[test]
     fn slots_and_replicates_and_pixels_differ() {
-        let a = points(16, 0, Slot::Direction);
-        assert_ne!(a, points(16, 1, Slot::Direction));
-        assert_ne!(a, points(16, 0, Slot::LightPoint));
-        let here = Sampler::new(SamplerKind::Sobol, 7, 3, 5, 0);
-        let there = Sampler::new(SamplerKind::Sobol, 7, 5, 3, 0);
-        assert_ne!(here.film(), there.film());
-        assert_ne!(here.film(), here.lens());
+        for kind in NETS {
+            let a = points(kind, 16, 0, Slot::Direction);
+            assert_ne!(a, points(kind, 16, 1, Slot::Direction));
+            assert_ne!(a, points(kind, 16, 0, Slot::LightPoint));
+            let here = Sampler::new(kind, 7, 3, 5, 0, 64);
+            let there = Sampler::new(kind, 7, 5, 3, 0, 64);
+            assert_ne!(here.film(), there.film());
+            assert_ne!(here.film(), here.lens());
+        }
     }
 
     /// The integral of xy over the square is ¼; with N points the error of the net is far below the random one.
@@ -230,7 +258,7 @@ mod tests {
         let error = |kind| {
             let runs = (0..64u64).map(|seed| {
                 let sum: f64 = (0..n)
-                    .map(|i| Sampler::new(kind, seed, 0, 0, i).film())
+                    .map(|i| Sampler::new(kind, seed, 0, 0, i, n).film())
                     .map(|p| f64::from(p.x) * f64::from(p.y))
                     .sum();
                 (sum / f64::from(n) - 0.25).powi(2)

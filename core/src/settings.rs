@@ -162,8 +162,13 @@ pub enum Strategy {
 pub enum SamplerKind {
     /// A hash: every number independent.
     Independent,
-    /// Owen-scrambled Sobol' points by hashing, padded (Burley 2020).
+    /// Owen-scrambled Sobol' points by hashing, padded: each decision of a path has its own (Burley 2020).
     Sobol,
+    /// Likewise, but all decisions at one surface share points of seven coordinates.
+    SobolJoint,
+    /// Like `Sobol`, but the pixels along a Z curve share one sequence, so that neighbours err differently (Ahmed & Wonka 2020).
+    /// The numbers depend on the samples a pixel asked for.
+    SobolZ,
 }
 
 /// Settings outside their ranges.

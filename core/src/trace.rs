@@ -1,13 +1,14 @@
 //! A unit of work: the samples of a tile, traced.
 
 use crate::bvh::Ray;
-use crate::bvh::simd::{Isa, Kernel, Lanes};
+use crate::bvh::simd::{Isa, Kernel, Lanes, Portable};
 use crate::camera::Camera;
 use crate::film::{RadianceError, TileSums};
 use crate::filter::FilterTable;
 use crate::integrator::Estimator;
 use crate::sampler::Sampler;
 use crate::settings::{Settings, SettingsError, Window};
+use crate::witness::{Event, Nobody, Record, Witness};
 use crate::world::World;
 use glam::{Vec2, Vec3};
 use std::ops::Range;
@@ -57,17 +58,40 @@ impl Tracer {
         self.isa.dispatch(TraceTile { tracer: self, tile, samples, stop })
     }
 
+    /// Traces one sample again and tells what happened on its path: the very sample that [`Tracer::trace`] adds, its radiance
+    /// as it goes to the film, be it fit for that or not.
+    pub fn replay(&self, x: u32, y: u32, index: u32) -> (Vec3, Vec<Event>) {
+        let mut record = Record::default();
+        let radiance = self.sample(Portable, &self.estimator(), x, y, index, &mut record);
+        (radiance, record.0)
+    }
+
+    fn estimator(&self) -> Estimator {
+        let Settings { integrator, strategy, without, .. } = self.settings;
+        Estimator { integrator, strategy, without }
+    }
+
     /// One sample of one pixel: the same value wherever and whenever it is asked for.
     #[inline(always)]
-    fn sample<L: Lanes>(&self, lanes: L, estimator: &Estimator, x: u32, y: u32, index: u32) -> Vec3 {
-        let Settings { film, seed, sampler, .. } = &self.settings;
-        let sampler = Sampler::new(*sampler, *seed, x, y, index);
+    fn sample<L: Lanes>(
+        &self,
+        lanes: L,
+        estimator: &Estimator,
+        x: u32,
+        y: u32,
+        index: u32,
+        witness: &mut impl Witness,
+    ) -> Vec3 {
+        let Settings { film, seed, sampler, spp, .. } = &self.settings;
+        let sampler = Sampler::new(*sampler, *seed, x, y, index, *spp);
         let u = sampler.film();
         let (film_x, weight_x) = self.filter.sample(x, film.width, u.x);
         let (film_y, weight_y) = self.filter.sample(y, film.height, u.y);
         let camera_ray = self.camera.ray(Vec2::new(film_x, film_y), || sampler.lens());
         let ray = Ray { origin: camera_ray.origin, direction: camera_ray.direction, t_max: camera_ray.t_max };
-        estimator.radiance(lanes, &self.world, ray, sampler) * (weight_x * weight_y)
+        let weight = weight_x * weight_y;
+        witness.see(|| Event::Camera { origin: ray.origin, direction: ray.direction, weight });
+        estimator.radiance(lanes, &self.world, ray, sampler, witness) * weight
     }
 }
 
@@ -85,8 +109,7 @@ impl Kernel for TraceTile<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
         let Self { tracer, tile, samples, stop } = self;
-        let Settings { integrator, strategy, without, scale_exponent, .. } = tracer.settings;
-        let estimator = Estimator { integrator, strategy, without };
+        let (estimator, scale_exponent) = (tracer.estimator(), tracer.settings.scale_exponent);
         let mut sums = TileSums::new(tile, samples.clone());
         let positions = (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y)));
         for ((x, y), pixel) in positions.zip(&mut sums.pixels) {
@@ -94,7 +117,7 @@ impl Kernel for TraceTile<'_> {
                 return Ok(None);
             }
             for index in samples.clone() {
-                let radiance = tracer.sample(lanes, &estimator, x, y, index);
+                let radiance = tracer.sample(lanes, &estimator, x, y, index, &mut Nobody);
                 pixel.add(index, radiance, scale_exponent).map_err(|error| SampleError { x, y, index, error })?;
             }
         }

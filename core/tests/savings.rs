@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::Film;
 use tilecast_core::load::{LoadOptions, load};
-use tilecast_core::settings::{Window, Without};
+use tilecast_core::settings::{IntegratorKind, Window, Without};
 use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
 
@@ -16,10 +16,11 @@ const SIDE: u32 = 24;
 const SPP: u32 = 256;
 
 /// Renders a scene of the repository; `columns` is the width of its tiles.
-fn render(name: &str, without: Without, seed: u64, columns: u32) -> Film {
+fn render(name: &str, kind: IntegratorKind, without: Without, seed: u64, columns: u32) -> Film {
     let path = format!("{}/../scenes/{name}/scene.xml", env!("CARGO_MANIFEST_DIR"));
     let loaded = load(path.as_ref(), &LoadOptions::default()).unwrap();
     let mut settings = loaded.settings;
+    settings.integrator.kind = kind;
     (settings.film.width, settings.film.height) = (SIDE, SIDE);
     settings.film.crop = Window { x0: 0, y0: 0, x1: SIDE, y1: SIDE };
     (settings.spp, settings.seed, settings.without) = (SPP, seed, without);
@@ -50,11 +51,13 @@ fn mean(film: &Film) -> (f64, f64) {
 fn splitting_and_roulette_keep_the_mean() {
     let all = Without { splitting: true, early_roulette: true, blind_ends: true };
     for scene in ["cornell-box", "veach-strategies"] {
-        let (plain, plain_variance) = mean(&render(scene, all, 1, SIDE));
-        for saving in
-            [Without { splitting: false, ..all }, Without { early_roulette: false, ..all }, Without::default()]
-        {
-            let (saved, variance) = mean(&render(scene, saving, 2, SIDE));
+        for (kind, saving) in [
+            (IntegratorKind::Direct, Without { splitting: false, ..all }),
+            (IntegratorKind::Path, Without { early_roulette: false, ..all }),
+            (IntegratorKind::Path, Without::default()),
+        ] {
+            let (plain, plain_variance) = mean(&render(scene, kind, all, 1, SIDE));
+            let (saved, variance) = mean(&render(scene, kind, saving, 2, SIDE));
             let error = (variance + plain_variance).sqrt();
             assert!((saved - plain).abs() < 4.0 * error, "{scene} with {saving:?}: {saved}, without {plain} ± {error}");
             assert!(error < 0.07 * plain, "{scene}: an error of {error} in {plain} tells little");
@@ -66,8 +69,8 @@ fn splitting_and_roulette_keep_the_mean() {
 #[test]
 fn blind_ends_change_no_bit() {
     for scene in ["cornell-box", "veach-strategies"] {
-        let with = render(scene, Without::default(), 3, SIDE);
-        let without = render(scene, Without { blind_ends: true, ..Without::default() }, 3, 7);
+        let with = render(scene, IntegratorKind::Path, Without::default(), 3, SIDE);
+        let without = render(scene, IntegratorKind::Path, Without { blind_ends: true, ..Without::default() }, 3, 7);
         assert_eq!(with.digest(), without.digest(), "{scene}");
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::ops::Range;
 use std::time::Duration;
+use tilecast_core::film::RelativeError;
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::{Settings, Window};
 
@@ -143,6 +144,10 @@ pub enum Verdict {
     Ended,
 }
 
+/// How the text of [`Failure::Sample`] calls the command that replays the sample. A worker does not know the scene's file; who
+/// does puts the whole command in its place.
+pub const REPLAY_COMMAND: &str = "tilecast render SCENE";
+
 /// Why a unit could not be done.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Failure {
@@ -225,7 +230,7 @@ pub struct Progress {
     /// Workers holding leases of it.
     pub workers: u32,
     /// Estimated relative RMS error of the mean, once known.
-    pub relative_error: Option<f32>,
+    pub relative_error: Option<RelativeError>,
     /// Since it was queued; to its end, if it has ended.
     pub elapsed: Duration,
     /// Since its first lease, likewise.

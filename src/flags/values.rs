@@ -32,13 +32,17 @@ pub enum StrategyName {
 pub enum SamplerName {
     /// Owen-scrambled Sobol' points
     Sobol,
+    /// Likewise, those of one surface in seven dimensions
+    SobolJoint,
+    /// Likewise, in an order that makes the error of neighbouring pixels differ
+    SobolZ,
     /// Every number independent
     Independent,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum SavingName {
-    /// Several branches of a path from its first surface on
+    /// Four samples of direct light a path, under the integrator `direct`
     Splitting,
     /// Roulette from the second surface on
     EarlyRoulette,
@@ -85,6 +89,8 @@ impl From<SamplerName> for SamplerKind {
     fn from(name: SamplerName) -> Self {
         match name {
             SamplerName::Sobol => Self::Sobol,
+            SamplerName::SobolJoint => Self::SobolJoint,
+            SamplerName::SobolZ => Self::SobolZ,
             SamplerName::Independent => Self::Independent,
         }
     }
@@ -130,6 +136,12 @@ pub fn crop(text: &str) -> Result<Window, String> {
         Some([_, _, _, _]) => Err("the window is empty: X0 < X1 and Y0 < Y1 must hold".into()),
         _ => Err("write X0,Y0,X1,Y1 in pixels, as in 100,100,164,164".into()),
     }
+}
+
+/// `X,Y`.
+pub fn pixel(text: &str) -> Result<[u32; 2], String> {
+    let position = text.split_once(',').and_then(|(x, y)| Some([x.trim().parse().ok()?, y.trim().parse().ok()?]));
+    position.ok_or_else(|| "write X,Y in pixels, as in 12,34".into())
 }
 
 /// An instruction set of this processor.

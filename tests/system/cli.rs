@@ -49,6 +49,28 @@ fn help_and_version_are_no_errors() {
     assert_eq!(folder.tilecast(["--version"]).code, Some(0));
 }
 
+/// A sample's path, and the same radiance whatever the crop, workers or samples of the render that met it.
+#[test]
+fn a_sample_is_replayed() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let sample = ["render", &scene, "--size", "48x40", "--pixel", "24,3", "--sample", "5"];
+    let outcome = folder.tilecast(sample);
+    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+    let (first, last) = (outcome.stdout.lines().next().unwrap(), outcome.stdout.lines().last().unwrap());
+    assert_eq!(first, "sample 5 of pixel (24, 3), seed 0");
+    assert!(last.starts_with("radiance ("), "{last}");
+    for part in ["camera ray from (", "vertex 0: ", "(diffuse)", "light at wi", "pdf", "throughput"] {
+        assert!(outcome.stdout.contains(part), "{part}: {}", outcome.stdout);
+    }
+    let other = folder.tilecast(sample.iter().chain(&["--spp", "9", "--crop", "0,0,4,4", "--workers", "2"]));
+    assert_eq!(other.stdout, outcome.stdout);
+    assert_eq!(folder.names(), [] as [&str; 0]);
+    let outside = folder.tilecast(["render", &scene, "--size", "48x40", "--pixel", "48,3", "--sample", "5"]);
+    assert_eq!(outside.code, Some(2), "{}", outside.stderr);
+    assert_eq!(folder.tilecast(["render", &scene, "--pixel", "1,1"]).code, Some(2));
+}
+
 #[test]
 fn info_counts_what_is_there() {
     let folder = Folder::new();

@@ -11,6 +11,9 @@ mod cli;
 /// Coordinator and workers in one process and virtual time: whatever joins, leaves, dies or restarts.
 #[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
 mod cluster;
+/// Images against images: distances, verdicts, and what cannot be compared.
+#[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
+mod compare;
 /// One image, whatever computed it: threads, processes, tiles, instruction sets, losses.
 mod digest;
 /// What is in the written files.

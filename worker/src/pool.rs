@@ -5,9 +5,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use tilecast_core::trace::Tracer;
+use tilecast_core::trace::{SampleError, Tracer};
 use tilecast_proto::sums;
-use tilecast_proto::types::{Failure, Unit};
+use tilecast_proto::types::{Failure, REPLAY_COMMAND, Unit};
 use tokio::sync::{mpsc, oneshot};
 
 /// Threads that trace, one unit each at a time, in the order the units came.
@@ -73,8 +73,10 @@ fn trace(tracer: &Tracer, unit: &Unit, stop: &AtomicBool) -> Result<Option<(Vec<
         Ok(Some(tile)) => Ok(Some((sums::encode(&tile.pixels), start.elapsed()))),
         Ok(None) => Ok(None),
         Err(error) => {
-            let (x, y) = (error.x, error.y);
-            Err(Failure::Sample(format!("{error}; `--crop {x},{y},{},{}` replays it", x + 1, y + 1)))
+            let SampleError { x, y, index, .. } = error;
+            Err(Failure::Sample(format!(
+                "{error}; see its path with: {REPLAY_COMMAND} --pixel {x},{y} --sample {index}"
+            )))
         }
     }
 }

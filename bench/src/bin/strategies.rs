@@ -6,9 +6,9 @@
 use anyhow::Context;
 use clap::Parser;
 use std::path::PathBuf;
-use tilecast_bench::plot::{Curve, log_log};
-use tilecast_bench::{compile, means, mse, render};
-use tilecast_core::settings::{Film, Filter, Integrator, SamplerKind, Settings, Strategy, Window};
+use tilecast_bench::{compile, means, mse, render, small};
+use tilecast_core::settings::{Film, Filter, Integrator, SamplerKind, Settings, Strategy};
+use tilecast_measure::plot::{Curve, Labels, log_log};
 
 const STRATEGIES: [(&str, Strategy); 5] = [
     ("uniform", Strategy::Uniform),
@@ -42,10 +42,8 @@ struct Arguments {
 
 /// The same picture with another number of pixels, each the plain mean over its square, and without visible lamps.
 fn prepared(settings: Settings, pixels: u32) -> Settings {
-    let Film { width, height, .. } = settings.film;
-    let scale = (f64::from(pixels) / (f64::from(width) * f64::from(height))).sqrt();
-    let [width, height] = [width, height].map(|side| ((f64::from(side) * scale).round() as u32).max(1));
-    let crop = Window { x0: 0, y0: 0, x1: width, y1: height };
+    let crop = small(&settings, pixels);
+    let (width, height) = (crop.x1, crop.y1);
     let integrator = Integrator { hide_emitters: true, ..settings.integrator };
     Settings { film: Film { width, height, crop, filter: Filter::Box }, integrator, ..settings }
 }
@@ -78,5 +76,6 @@ fn main() -> anyhow::Result<()> {
     let csv = arguments.out.join("strategies.csv");
     std::fs::write(&csv, table).with_context(|| format!("writing {}", csv.display()))?;
     let title = "Mean squared error of the strategies, independent samples";
-    log_log(&arguments.out.join("strategies.svg"), title, "samples a pixel", "mean squared error", &curves)
+    let labels = Labels { title, x: "samples a pixel", y: "mean squared error" };
+    log_log(&arguments.out.join("strategies.svg"), labels, &curves)
 }

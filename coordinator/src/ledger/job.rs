@@ -10,6 +10,7 @@ use std::collections::{HashMap, HashSet, VecDeque};
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::REPLICATES;
+use tilecast_core::film::RelativeError;
 use tilecast_core::scene::Digest;
 use tilecast_proto::types::{Fence, JobSpec, JobState, Unit, Verdict, WorkerId};
 
@@ -66,7 +67,7 @@ pub(super) struct Job {
     pub rates: HashMap<WorkerId, f64>,
     /// Workers that cannot prepare its scene.
     pub barred: HashSet<WorkerId>,
-    pub relative_error: Option<f32>,
+    pub relative_error: Option<RelativeError>,
     pub queued_at: Duration,
     pub started_at: Option<Duration>,
     pub ended_at: Option<Duration>,

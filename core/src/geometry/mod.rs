@@ -249,7 +249,7 @@ impl Geometry {
         let [p0, p1, p2] = self.vertices(triangle);
         let weights = [1.0 - b.x - b.y, b.x, b.y];
         let parts = [p0 * weights[0], p1 * weights[1], p2 * weights[2]];
-        let normal = (p1 - p0).cross(p2 - p0).normalize();
+        let normal = face_normal([p0, p1, p2]);
         let interpolate = |first: u32, list: &[Vec3]| -> Vec3 {
             let at = |i: usize| list[(vertices[i] - table.first_vertex + first) as usize];
             at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
@@ -400,6 +400,32 @@ impl Geometry {
         let analytic = self.analytic.iter().map(|shape| Aabb { min: shape.bounds().0, max: shape.bounds().1 });
         analytic.fold(all, Aabb::union)
     }
+}
+
+/// Squared sine of the angle at vertex 0 below which f64 has to find the normal: a cross product in f32 is off by its rounding
+/// over that sine, and a ray that leaves close to the plane of a normal so far off meets its own triangle again.
+const SLIVER: f32 = 0.05;
+
+/// The unit normal of a triangle, for any corners; triangles without area have some unit vector.
+#[inline(always)]
+fn face_normal([p0, p1, p2]: [Vec3; 3]) -> Vec3 {
+    let (a, b) = (p1 - p0, p2 - p0);
+    let normal = a.cross(b);
+    let squared = normal.length_squared();
+    // The bound on the length keeps its square far from what f32 cannot hold.
+    if squared > SLIVER * a.length_squared() * b.length_squared() && squared > 1e-34 && squared < 1e34 {
+        normal.normalize()
+    } else {
+        sliver_normal([p0, p1, p2])
+    }
+}
+
+fn sliver_normal(corners: [Vec3; 3]) -> Vec3 {
+    let [p0, p1, p2] = corners.map(Vec3::as_dvec3);
+    let (a, b) = (p1 - p0, p2 - p0);
+    let longest = if a.length_squared() > b.length_squared() { a } else { b };
+    let normal = a.cross(b).try_normalize().or_else(|| Some(longest.try_normalize()?.any_orthonormal_vector()));
+    normal.map_or(Vec3::Z, |n| n.as_vec3())
 }
 
 impl ShapeTable {

@@ -8,7 +8,7 @@ use crate::sums;
 use crate::types::{FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus};
 use crate::wire;
 use std::time::Duration;
-use tilecast_core::film::{Film, PixelSums, REPLICATES};
+use tilecast_core::film::{Film, PixelSums, REPLICATES, RelativeError};
 use tilecast_core::settings::{FILM_SIDE_MAX, Settings};
 
 impl TryFrom<wire::Job> for JobSpec {
@@ -57,7 +57,11 @@ impl From<Progress> for wire::Progress {
             samples_done: progress.samples_done,
             samples_total: progress.samples_total,
             workers: progress.workers,
-            relative_error: progress.relative_error,
+            relative_error: progress.relative_error.map(|e| wire::RelativeError {
+                value: e.value,
+                low: e.low,
+                high: e.high,
+            }),
             elapsed_ms: millis(progress.elapsed),
             running_ms: millis(progress.running),
             scene: digest_bytes(&progress.scene),
@@ -89,7 +93,7 @@ impl TryFrom<wire::Progress> for Progress {
             samples_done: within(message.samples_done, 0..=message.samples_total, "progress.samples_done")?,
             samples_total: message.samples_total,
             workers: message.workers,
-            relative_error: message.relative_error,
+            relative_error: message.relative_error.map(|e| RelativeError { value: e.value, low: e.low, high: e.high }),
             elapsed: Duration::from_millis(message.elapsed_ms),
             running: Duration::from_millis(message.running_ms),
             scene: digest(&message.scene, "progress.scene")?,

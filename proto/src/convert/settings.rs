@@ -33,6 +33,8 @@ impl From<&Settings> for wire::Settings {
         let sampler = match settings.sampler {
             SamplerKind::Independent => wire::Sampler::Independent,
             SamplerKind::Sobol => wire::Sampler::Sobol,
+            SamplerKind::SobolJoint => wire::Sampler::SobolJoint,
+            SamplerKind::SobolZ => wire::Sampler::SobolZ,
         };
         let Without { splitting, early_roulette, blind_ends } = settings.without;
         Self {
@@ -119,6 +121,8 @@ fn sampler(value: i32) -> Result<SamplerKind, WireError> {
     match wire::Sampler::try_from(value) {
         Ok(wire::Sampler::Independent) => Ok(SamplerKind::Independent),
         Ok(wire::Sampler::Sobol) => Ok(SamplerKind::Sobol),
+        Ok(wire::Sampler::SobolJoint) => Ok(SamplerKind::SobolJoint),
+        Ok(wire::Sampler::SobolZ) => Ok(SamplerKind::SobolZ),
         Ok(wire::Sampler::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.sampler", value }),
     }
 }

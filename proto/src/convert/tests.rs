@@ -153,7 +153,7 @@ fn progress_comes_back_as_it_went() {
             samples_done: 5,
             samples_total: 6,
             workers: 1,
-            relative_error: Some(0.25),
+            relative_error: Some(film::RelativeError { value: 0.25, low: 0.2, high: 0.3 }),
             elapsed: Duration::from_millis(7),
             running: Duration::from_millis(6),
             scene: Digest([3; 32]),

@@ -49,7 +49,7 @@ fn scene(mesh: Mesh, places: &[Affine3]) -> Scene {
 }
 
 fn place(i: u32, scale: f32) -> Affine3 {
-    let at = |k: u32| Sampler::new(SamplerKind::Independent, 7, i, k, 0).film();
+    let at = |k: u32| Sampler::new(SamplerKind::Independent, 7, i, k, 0, 1).film();
     let (a, b, c) = (at(0), at(1), at(2));
     let rotation = Mat3::from_quat(Quat::from_xyzw(a.x - 0.5, a.y - 0.5, b.x - 0.5, b.y + 0.1).normalize());
     let mirror = if i.is_multiple_of(3) { -1.0 } else { 1.0 };
@@ -78,7 +78,7 @@ fn nearest(geometry: &Geometry, ray: &Ray) -> Option<Hit> {
 }
 
 fn rays(n: u32, reach: f32) -> Vec<Ray> {
-    let number = |i: u32, k: u32| Sampler::new(SamplerKind::Independent, 3, i, k, 0).film();
+    let number = |i: u32, k: u32| Sampler::new(SamplerKind::Independent, 3, i, k, 0, 1).film();
     let ray = |i: u32| {
         let (a, b) = (number(i, 0), number(i, 1));
         let origin = (Vec3::new(a.x, a.y, b.x) * 24.0 - 12.0) * reach;
@@ -172,7 +172,7 @@ fn rays_that_leave_do_not_come_back() {
             let Some(hit) = nearest(&geometry, &ray) else { continue };
             let surface = geometry.surface(&ray, hit);
             let outwards = if surface.normal.dot(ray.direction) < 0.0 { surface.normal } else { -surface.normal };
-            let mut sampler = Sampler::new(SamplerKind::Independent, 5, i as u32, 0, 0);
+            let mut sampler = Sampler::new(SamplerKind::Independent, 5, i as u32, 0, 0, 1);
             sampler.at_surface(0);
             let frame = crate::frame::Frame::around(outwards);
             let w = frame.to_world(cosine_hemisphere(sampler.two(Slot::Direction)));

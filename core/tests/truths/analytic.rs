@@ -1,101 +1,12 @@
 //! Analytic answers: scenes whose radiance is known from a formula, rendered and compared within their own error bars.
 
-#![allow(clippy::unwrap_used)]
-
+use crate::build::{ALL_STRATEGIES, camera, mean_and_error, render, room, scene, settings, shape};
 use glam::{Affine3, Mat3, Vec3};
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use tilecast_core::bvh::simd::Isa;
-use tilecast_core::film::{self, Film};
 use tilecast_core::scene::{
-    Bsdf, BsdfId, Distribution, Emitter, FovAxis, Geometry, Image, ImageId, Mesh, MeshId, Scene, Sensor, Shape, Texels,
-    Texture, TextureId,
+    Bsdf, Distribution, Emitter, Geometry, Image, ImageId, Mesh, MeshId, Shape, Texels, Texture, TextureId,
 };
-use tilecast_core::settings::{
-    Film as FilmSettings, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window, Without,
-};
-use tilecast_core::trace::Tracer;
-use tilecast_core::world::World;
-
-const ALL_STRATEGIES: [Strategy; 5] =
-    [Strategy::Uniform, Strategy::Cosine, Strategy::Bsdf, Strategy::Light, Strategy::Mis];
-
-fn camera(from: Vec3, x: Vec3, y: Vec3, z: Vec3) -> Sensor {
-    Sensor::Perspective {
-        to_world: Affine3 { matrix3: Mat3::from_cols(x, y, z), translation: from },
-        fov_degrees: 40.0,
-        fov_axis: FovAxis::X,
-        principal_point_offset: [0.0; 2],
-        near_clip: 1e-3,
-        far_clip: 1e4,
-        lens: None,
-    }
-}
-
-fn settings(side: u32, spp: u32, strategy: Strategy) -> Settings {
-    Settings {
-        film: FilmSettings {
-            width: side,
-            height: side,
-            crop: Window { x0: 0, y0: 0, x1: side, y1: side },
-            filter: Filter::Box,
-        },
-        spp,
-        seed: 1,
-        integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
-        strategy,
-        sampler: SamplerKind::Sobol,
-        without: Without::default(),
-        scale_exponent: film::scale_exponent(100.0),
-    }
-}
-
-fn render(scene: &Scene, settings: &Settings) -> Film {
-    scene.validate().unwrap();
-    let tracer = Tracer::new(Arc::new(World::compile(scene)), settings.clone(), Isa::detect()).unwrap();
-    let mut film = Film::new(settings);
-    let never = AtomicBool::new(false);
-    film.merge(&tracer.trace(settings.film.crop, 0..settings.spp, &never).unwrap().unwrap());
-    film
-}
-
-/// Mean over the image's red channel, and the standard error of it (pixels are independent).
-fn mean_and_error(film: &Film) -> (f64, f64) {
-    let w = film.window;
-    let estimates = (w.y0..w.y1).flat_map(|y| (w.x0..w.x1).map(move |x| (x, y))).map(|(x, y)| film.estimate(x, y));
-    let (sum, variance) =
-        estimates.fold((0.0, 0.0), |(s, v), e| (s + f64::from(e.mean[0]), v + f64::from(e.variance[0])));
-    let n = w.area() as f64;
-    (sum / n, variance.sqrt() / n)
-}
-
-fn scene(sensor: Sensor, albedo: f32, shapes: Vec<Shape>) -> Scene {
-    Scene {
-        sensor,
-        shapes,
-        bsdfs: vec![Bsdf::Diffuse { reflectance: TextureId(0) }],
-        textures: vec![Texture::Constant(Vec3::splat(albedo)), Texture::Constant(Vec3::ONE)],
-        groups: Vec::new(),
-        instances: Vec::new(),
-        emitters: Vec::new(),
-        meshes: Vec::new(),
-        images: Vec::new(),
-        origin: [0.0; 3],
-    }
-}
-
-fn shape(geometry: Geometry, emits: bool) -> Shape {
-    Shape { name: "shape".into(), geometry, bsdf: BsdfId(0), radiance: emits.then_some(TextureId(1)) }
-}
-
-/// A box of two units, normals inwards.
-fn room() -> Mesh {
-    let positions =
-        (0..8).map(|i| Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32) * 2.0 - 1.0).collect();
-    let quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
-    let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-    Mesh { positions, triangles, ..Mesh::default() }
-}
+use tilecast_core::settings::{Film as FilmSettings, IntegratorKind, Settings, Strategy, Window};
 
 /// A closed furnace with albedo a and emission 1: L = Σ aᵏ = 1/(1−a), for every strategy. Fails if Russian roulette is not
 /// divided out, if a density lacks its 1/π, or if rays escape.

@@ -1,0 +1,83 @@
+//! The flags of `compare` and `bench`.
+
+use super::Usage;
+use crate::bench::Bench;
+use crate::compare::Compare;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+pub const BENCH_EXAMPLES: &str = "\
+Examples:
+  tilecast render scene.xml --spp 65536 --seed 99 -o reference.exr
+  tilecast bench scene.xml --reference reference.exr                   writes bench.csv, .json and plots
+  tilecast bench scene.xml --reference reference.exr --peer mitsuba    Mitsuba renders in turn
+  tilecast bench a.xml b.xml --reference a.exr --reference b.exr -- --workers 4 --sampler independent";
+
+#[derive(Args)]
+pub struct CompareFlags {
+    /// An image: OpenEXR with channels R, G, B, or PNG, HDR, JPEG, TGA
+    image: PathBuf,
+    /// What it should be
+    reference: PathBuf,
+    /// Draws the signed difference: red where the image is brighter, blue where it is darker
+    #[arg(long, value_name = "OUT.png")]
+    difference: Option<PathBuf>,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+impl CompareFlags {
+    pub fn ready(self) -> Compare {
+        let Self { image, reference, difference, json } = self;
+        Compare { image, reference, difference, json }
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Peer {
+    /// Mitsuba 3, by Python
+    Mitsuba,
+}
+
+#[derive(Args)]
+pub struct BenchFlags {
+    /// Mitsuba 3 XML, or bare Wavefront OBJ
+    #[arg(required = true)]
+    scenes: Vec<PathBuf>,
+    /// A scene's reference, of far more samples; one for each scene, in their order
+    #[arg(long, value_name = "REF.exr", required = true)]
+    reference: Vec<PathBuf>,
+    /// The fewest samples a pixel; counts double from there
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..))]
+    spp_min: u32,
+    /// The most samples a pixel
+    #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..))]
+    spp_max: u32,
+    /// Renders of each count, whose errors are averaged
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    seeds: u32,
+    /// Beginning of the names of the table and the plots
+    #[arg(long, value_name = "PREFIX", default_value = "bench")]
+    out: PathBuf,
+    /// Another renderer, in turn with this one on the same files
+    #[arg(long, value_name = "NAME")]
+    peer: Option<Peer>,
+    /// The Python that has the peer
+    #[arg(long, value_name = "PATH", default_value = "python3")]
+    python: String,
+    /// Flags for each render of ours: --workers, --size, --sampler…
+    #[arg(last = true, value_name = "RENDER FLAGS")]
+    flags: Vec<String>,
+}
+
+impl BenchFlags {
+    pub fn ready(self) -> anyhow::Result<Bench> {
+        let Self { scenes, reference: references, spp_min, spp_max, seeds, out, peer, python, flags } = self;
+        if scenes.len() != references.len() {
+            let (scenes, references) = (scenes.len(), references.len());
+            return Err(Usage(format!("{scenes} scenes need as many --reference images, not {references}")).into());
+        }
+        Ok(Bench { scenes, references, spp_min, spp_max, seeds, out, peer: peer.is_some(), python, flags })
+    }
+}
