@@ -16,6 +16,7 @@ use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::settings::Window;
 use tilecast_proto::limits::{THREADS_MAX, TILE_SIDE_MAX};
@@ -191,6 +192,12 @@ struct CoordinatorFlags {
     /// Address and port to serve on; port 0 takes a free one
     #[arg(long, value_name = "ADDR")]
     listen: String,
+    /// Keeps jobs and images in the making in this folder: whatever ends the coordinator, the next one goes on
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Has this share of all units done again by another worker; the bits must agree [default: 0; 0.05 is a good one]
+    #[arg(long, value_name = "RATE", value_parser = values::share)]
+    verify: Option<f64>,
     #[command(flatten)]
     style: StyleFlags,
 }
@@ -214,6 +221,9 @@ struct WorkerFlags {
     name: String,
     #[command(flatten)]
     isa: IsaFlags,
+    /// Ends after so long, such as 90s, 30m or 4h: give a scheduler's walltime
+    #[arg(long, value_name = "TIME", value_parser = values::time)]
+    lifetime: Option<Duration>,
     /// Ends when standard input does
     #[arg(long, hide = true)]
     exit_with_parent: bool,
@@ -269,8 +279,9 @@ impl Cli {
     pub fn task(self) -> anyhow::Result<Task> {
         Ok(match self.command {
             Command::Render(flags) => Task::Render(flags.ready()?),
-            Command::Coordinator(CoordinatorFlags { listen, style }) => {
-                Task::Coordinator(Coordinator { listen, style: style.ready() })
+            Command::Coordinator(CoordinatorFlags { listen, state, verify, style }) => {
+                let verify = verify.unwrap_or(0.0);
+                Task::Coordinator(Coordinator { listen, state, verify, style: style.ready() })
             }
             Command::Worker(flags) => Task::Worker(flags.ready()?),
             Command::Submit(flags) => Task::Submit(flags.ready()?),
@@ -307,6 +318,7 @@ impl WorkerFlags {
             threads: self.threads.unwrap_or_else(cores),
             name: self.name,
             isa: self.isa.ready()?,
+            lifetime: self.lifetime,
             exit_with_parent: self.exit_with_parent,
         })
     }

@@ -15,5 +15,10 @@ mod cluster;
 mod digest;
 /// What is in the written files.
 mod exr;
+/// Real processes killed, stopped and drained at random.
+mod faults;
 /// Processes and folders that are gone when a test is, however it ends.
 mod harness;
+/// Workers that bring wrong sums on purpose.
+#[cfg(test)]
+mod liars;
