@@ -134,8 +134,11 @@ impl Following<'_> {
                 }
                 Ok(None) => "it stopped".to_owned(),
                 Err(ClientError::Call(status)) if status.code() == Code::NotFound => {
-                    let lost = anyhow!("{}; a coordinator keeps jobs over restarts if it has --state", status.message());
-                    return Err(Lost::ForGood(lost.context("the coordinator was replaced by one that does not know the job")));
+                    let lost =
+                        anyhow!("{}; a coordinator keeps jobs over restarts if it has --state", status.message());
+                    return Err(Lost::ForGood(
+                        lost.context("the coordinator was replaced by one that does not know the job"),
+                    ));
                 }
                 Err(ClientError::Call(status)) if is_final(status.code()) => {
                     return Err(Lost::ForGood(anyhow!(ClientError::Call(status))));

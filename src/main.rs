@@ -1,6 +1,7 @@
 //! The one binary. Reads flags, does what they say, and turns every end into an exit code: 0 done, 1 failed, 2 usage.
 
 mod cancel;
+mod certs;
 mod children;
 mod coordinator;
 mod exr;
@@ -60,6 +61,7 @@ async fn perform(task: Task) -> anyhow::Result<()> {
         Task::Status(status) => status::run(status).await,
         Task::Cancel(cancel) => cancel::run(cancel).await,
         Task::Info(info) => info::run(info).await,
+        Task::Certs(certs) => certs::run(certs),
     }
 }
 

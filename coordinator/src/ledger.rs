@@ -14,9 +14,9 @@ pub mod audit;
 mod job;
 mod report;
 mod results;
-mod watch;
 #[cfg(test)]
 pub(crate) mod tests;
+mod watch;
 
 use crate::plan::{Plan, TooManyTiles};
 use audit::Contributor;

@@ -4,14 +4,19 @@
 //! all that is promised on a [`disk`], and the service puts it on the wire. Nothing here traces rays, and nothing knows a
 //! worker but by what it says of itself.
 
+pub mod access;
 pub mod blobs;
 pub mod disk;
 pub mod films;
+pub mod incoming;
 pub mod ledger;
 pub mod plan;
 mod service;
+#[cfg(test)]
+mod sim;
 pub mod store;
 
+use access::{Gate, Role, Security};
 use disk::Disk;
 use service::{Jobs, Shared, Work};
 use std::path::PathBuf;
@@ -24,6 +29,7 @@ use tilecast_proto::wire::jobs_server::JobsServer;
 use tilecast_proto::wire::work_server::WorkServer;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio_stream::Stream;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::server::Connected;
 
 /// How a coordinator is set up.
@@ -43,6 +49,8 @@ pub struct Config {
     pub verify: f64,
     /// Where jobs and films are kept; without it they end with the coordinator.
     pub state: Option<PathBuf>,
+    /// Whom it lets in; everyone, if `None`.
+    pub security: Option<Security>,
     /// How the state is written.
     pub disk: Disk,
 }
@@ -58,6 +66,7 @@ impl Default for Config {
             apart_bytes_max: 2 << 30,
             verify: 0.0,
             state: None,
+            security: None,
             disk: Disk::default(),
         }
     }
@@ -85,7 +94,10 @@ const SNAPSHOT_TICK: Duration = Duration::from_secs(2);
 const PAUSE_MIN: Duration = Duration::from_millis(4 * EXPIRY_TICK_MS);
 
 /// A coordinator that has read its state and can serve.
-pub struct Coordinator(Arc<Shared>);
+pub struct Coordinator {
+    shared: Arc<Shared>,
+    security: Option<Arc<Security>>,
+}
 
 impl Coordinator {
     /// Sets it up. Its jobs are as they were when the one before ended, however it ended. Blocks.
@@ -93,7 +105,7 @@ impl Coordinator {
     /// # Errors
     /// State that cannot be had.
     pub fn open(config: &Config) -> Result<Self, StoreError> {
-        Ok(Self(Arc::new(Shared::open(config)?)))
+        Ok(Self { shared: Arc::new(Shared::open(config)?), security: config.security.clone().map(Arc::new) })
     }
 
     /// Serves until `shutdown` ends. Connections come from a TCP listener ([`transport::tcp_incoming`]) or from memory
@@ -103,11 +115,11 @@ impl Coordinator {
     /// If the connections cannot be served, or the state cannot be kept.
     pub async fn serve<S, IO, E>(self, incoming: S, shutdown: impl Future<Output = ()>) -> Result<(), RunError>
     where
-        S: Stream<Item = Result<IO, E>>,
+        S: Stream<Item = Result<IO, E>> + Send + 'static,
         IO: AsyncRead + AsyncWrite + Connected + Unpin + Send + 'static,
-        E: Into<Box<dyn std::error::Error + Send + Sync>>,
+        E: Into<Box<dyn std::error::Error + Send + Sync>> + Send,
     {
-        let shared = self.0;
+        let Self { shared, security } = self;
         let work = WorkServer::new(Work(Arc::clone(&shared)))
             .max_decoding_message_size(MESSAGE_BYTES_MAX)
             .max_encoding_message_size(MESSAGE_BYTES_MAX);
@@ -115,17 +127,31 @@ impl Coordinator {
             .max_decoding_message_size(MESSAGE_BYTES_MAX)
             .max_encoding_message_size(MESSAGE_BYTES_MAX);
         let closing = shared.closing.clone();
-        let serving = transport::server()
-            .add_service(work)
-            .add_service(jobs)
-            .serve_with_incoming_shutdown(incoming, closing.clone().cancelled_owned());
+        let mut server = transport::server();
+        if let Some(security) = &security {
+            server = server.tls_config(security.tls())?;
+        }
+        let (health, health_service) = tonic_health::server::health_reporter();
+        health.set_serving::<WorkServer<Work>>().await;
+        health.set_serving::<JobsServer<Jobs>>().await;
+        let serving = server
+            .add_service(health_service)
+            .add_service(InterceptedService::new(work, Gate::new(security.clone(), Role::Worker)))
+            .add_service(InterceptedService::new(jobs, Gate::new(security, Role::Client)))
+            .serve_with_incoming_shutdown(incoming::guarded(incoming), closing.clone().cancelled_owned());
         tokio::pin!(serving);
         let broken = shared.broken();
+        let is_broken = async {
+            match &broken {
+                Some(broken) => broken.token.cancelled().await,
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
             ended = &mut serving => ended?,
             () = expire(&shared) => {}
             () = snapshots(&shared) => {}
-            () = async { match &broken { Some(broken) => broken.token.cancelled().await, None => std::future::pending().await } } => {}
+            () = is_broken => {}
             () = shutdown => {}
         }
         closing.cancel();
@@ -148,9 +174,9 @@ impl Coordinator {
 /// If the connections cannot be served, or the state cannot be had or kept.
 pub async fn run<S, IO, E>(incoming: S, config: Config, shutdown: impl Future<Output = ()>) -> Result<(), RunError>
 where
-    S: Stream<Item = Result<IO, E>>,
+    S: Stream<Item = Result<IO, E>> + Send + 'static,
     IO: AsyncRead + AsyncWrite + Connected + Unpin + Send + 'static,
-    E: Into<Box<dyn std::error::Error + Send + Sync>>,
+    E: Into<Box<dyn std::error::Error + Send + Sync>> + Send,
 {
     let open = tokio::task::spawn_blocking(move || Coordinator::open(&config));
     open.await.map_err(|_| RunError::Panicked)??.serve(incoming, shutdown).await

@@ -14,13 +14,14 @@ use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tilecast_core::scene::Digest;
 use tilecast_core::film::sums;
+use tilecast_core::scene::Digest;
+use tilecast_proto::limits::STREAM_IDLE_MS_MAX;
 use tilecast_proto::types::{JobId, JobState, ResultHeader, Verdict, WorkerId};
 use tokio::sync::Notify;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use tonic::Status;
+use tonic::{Status, Streaming};
 
 pub(crate) use jobs::Jobs;
 #[cfg(test)]
@@ -124,7 +125,11 @@ impl Shared {
                 }
                 Ok(_) if engine != tilecast_core::VERSION => {
                     let ours = tilecast_core::VERSION;
-                    ledger.fail_job(now, id, format!("it was begun with engine {engine}, and this one is {ours}; images depend on it"));
+                    ledger.fail_job(
+                        now,
+                        id,
+                        format!("it was begun with engine {engine}, and this one is {ours}; images depend on it"),
+                    );
                 }
                 Ok(blobs) => {
                     lock(&self.pinned).insert(id, blobs);
@@ -253,6 +258,13 @@ impl Shared {
     fn blobs(&self) -> MutexGuard<'_, Blobs> {
         lock(&self.blobs)
     }
+}
+
+/// The next message of a stream of bulk; one on which nothing comes is broken off.
+async fn next<T>(stream: &mut Streaming<T>) -> Result<Option<T>, Status> {
+    let patience = Duration::from_millis(STREAM_IDLE_MS_MAX);
+    let silent = |_| Status::deadline_exceeded("nothing came for too long");
+    tokio::time::timeout(patience, stream.message()).await.map_err(silent)?
 }
 
 /// A panic while a lock is held is a bug that has cost its own call; the ledger's methods leave no half-done account behind

@@ -52,7 +52,9 @@ const QUEUE_LEN: usize = 32;
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The system refuses.
-    #[error("the state in {path} cannot be kept: {source}; when there is room and the disk is sound, start the coordinator again with the same --state, and it goes on")]
+    #[error(
+        "the state in {path} cannot be kept: {source}; when there is room and the disk is sound, start the coordinator again with the same --state, and it goes on"
+    )]
     Io {
         /// Where.
         path: PathBuf,
@@ -321,4 +323,4 @@ fn damaged(path: &Path, error: &RecordError) -> StoreError {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

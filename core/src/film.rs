@@ -149,8 +149,7 @@ impl TileSums {
 /// Whether these can be the sums of `count` samples of every pixel of `tile`.
 fn bounded(tile: Window, count: u64, pixels: &[PixelSums]) -> bool {
     let bound = u128::from(count) << SAMPLE_BITS;
-    pixels.len() as u64 == tile.area()
-        && pixels.iter().all(|p| p.0.iter().flatten().all(|s| s.unsigned_abs() <= bound))
+    pixels.len() as u64 == tile.area() && pixels.iter().all(|p| p.0.iter().flatten().all(|s| s.unsigned_abs() <= bound))
 }
 
 /// The image in the making: the sums of every pixel of a crop window, and how many samples each replicate has.

@@ -2,8 +2,8 @@
 //! film has the bits that tracing it directly has. Time is virtual, so waits cost nothing.
 
 use std::sync::Arc;
-use std::time::Duration;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 use tilecast_coordinator::{Config, RunError};
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::{Film, scale_exponent};
@@ -150,7 +150,8 @@ fn coordinator_with(memory: &Memory, config: Config) -> Running<RunError> {
 
 fn worker(connector: Connector, scenes: SceneCache) -> Running<WorkerError> {
     let (stop, stopped) = oneshot::channel::<()>();
-    let config = WorkerConfig { threads: 1, isa: Isa::detect(), name: "w".into(), host: "here".into(), drain: Duration::ZERO };
+    let config =
+        WorkerConfig { threads: 1, isa: Isa::detect(), name: "w".into(), host: "here".into(), drain: Duration::ZERO };
     let shutdown = async { _ = stopped.await };
     Running { stop, task: tokio::spawn(tilecast_worker::run(connector, config, Arc::new(scenes), shutdown)) }
 }
@@ -247,7 +248,7 @@ async fn a_second_job_of_the_scene_uploads_nothing() {
     assert_eq!(listed, jobs);
 }
 
-async fn raw(memory: &Memory) -> WorkClient<tonic::transport::Channel> {
+async fn raw(memory: &Memory) -> WorkClient<tilecast_proto::transport::Line> {
     WorkClient::new(Connector::Memory(memory.clone()).connect().await.unwrap())
 }
 

@@ -47,7 +47,7 @@ async fn work(memory: Memory, tracer: Arc<Tracer>, instance: u64, lies: bool) ->
                 let traced = tracer.trace(unit.tile, unit.samples.clone(), &AtomicBool::new(false));
                 let mut tile = traced.expect("a value").expect("not stopped");
                 count += 1;
-                if lies && count % 10 == 0 {
+                if lies && count.is_multiple_of(10) {
                     told += 1;
                     let pixel = count as usize % tile.pixels.len();
                     tile.pixels[pixel].0[0][1] += 1;

@@ -69,8 +69,13 @@ pub async fn run(
     // The number of this worker over all its sessions: random, so that none is another's.
     let instance = RandomState::new().hash_one(std::process::id()).max(1);
     let info = WorkerInfo { threads, isa: isa.name().to_owned(), host, pid: std::process::id(), name, instance };
-    let backoff =
-        || ExponentialBuilder::default().with_min_delay(RETRY_MIN).with_max_delay(RETRY_MAX).with_jitter().without_max_times();
+    let backoff = || {
+        ExponentialBuilder::default()
+            .with_min_delay(RETRY_MIN)
+            .with_max_delay(RETRY_MAX)
+            .with_jitter()
+            .without_max_times()
+    };
     let mut delays = backoff().build();
     tokio::pin!(shutdown);
     loop {

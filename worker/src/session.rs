@@ -17,7 +17,7 @@ use tilecast_core::trace::Tracer;
 use tilecast_proto::client::{call, chunks};
 use tilecast_proto::convert::{WireError, work_key};
 use tilecast_proto::limits::{KNOWN_JOBS_MAX, MESSAGE_BYTES_MAX};
-use tilecast_proto::transport::Connector;
+use tilecast_proto::transport::{Connector, Line};
 use tilecast_proto::types::{
     Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, LeaseReply, LeaseRequest, Leave, ResultHeader, Verdict,
     Welcome, WorkerId, WorkerInfo,
@@ -27,7 +27,6 @@ use tilecast_proto::wire::work_client::WorkClient;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
 /// Jobs remembered without holding a unit of them: each keeps its compiled scene in memory.
@@ -52,7 +51,7 @@ pub(crate) enum End {
 
 /// See the module.
 pub(crate) struct Session {
-    work: WorkClient<Channel>,
+    work: WorkClient<Line>,
     worker: WorkerId,
     threads: u32,
     heartbeat: Duration,
@@ -301,12 +300,12 @@ impl Session {
     }
 }
 
-async fn lease(mut work: WorkClient<Channel>, request: LeaseRequest) -> Event {
+async fn lease(mut work: WorkClient<Line>, request: LeaseRequest) -> Event {
     let reply = work.lease(call(wire::LeaseRequest::from(request))).await;
     Event::Leased(reply.and_then(|reply| Ok(reply.into_inner().try_into()?)))
 }
 
-async fn submit(mut work: WorkClient<Channel>, ticket: Ticket, header: ResultHeader, bytes: Bytes) -> Event {
+async fn submit(mut work: WorkClient<Line>, ticket: Ticket, header: ResultHeader, bytes: Bytes) -> Event {
     let job = header.unit.job;
     let mut head = Some(wire::ResultHeader::from(header));
     let stream = chunks(bytes).map(move |data| wire::ResultChunk { header: head.take(), data });
@@ -323,9 +322,7 @@ fn end(status: Status) -> End {
         | Code::InvalidArgument
         | Code::Unimplemented
         | Code::PermissionDenied
-        | Code::Unauthenticated => {
-            End::Refused(status.message().to_owned())
-        }
+        | Code::Unauthenticated => End::Refused(status.message().to_owned()),
         _ => End::Lost(status.message().to_owned()),
     }
 }

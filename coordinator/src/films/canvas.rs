@@ -207,7 +207,9 @@ mod tests {
     #[test]
     fn a_liars_units_are_taken_out_as_if_they_had_never_been_there() {
         let (mut with, mut without) = (canvas(1 << 20), canvas(1 << 20));
-        for (tile, samples, value, who) in [(0, 0..4, 5, 7), (0, 4..8, 6, 8), (0, 8..12, 7, 7), (1, 0..4, 9, 8), (1, 8..12, 3, 7)] {
+        for (tile, samples, value, who) in
+            [(0, 0..4, 5, 7), (0, 4..8, 6, 8), (0, 8..12, 7, 7), (1, 0..4, 9, 8), (1, 8..12, 3, 7)]
+        {
             assert!(with.merge(&unit(tile, samples.clone(), value), who));
             if who == 8 {
                 without.merge(&unit(tile, samples, value), who);
@@ -236,7 +238,10 @@ mod tests {
     fn parts_and_entries_may_overlap_and_count_once() {
         let mut before = canvas(1 << 20);
         let units = [(0, 0..4, 5, 7), (0, 4..8, 6, 8), (1, 0..16, 7, 7)];
-        units.clone().into_iter().for_each(|(tile, samples, value, who)| _ = before.merge(&unit(tile, samples, value), who));
+        units
+            .clone()
+            .into_iter()
+            .for_each(|(tile, samples, value, who)| _ = before.merge(&unit(tile, samples, value), who));
         let mut after = canvas(1 << 20);
         (0..2).flat_map(|tile| before.parts(tile)).for_each(|part| after.restore(Piece::Part(part)));
         for (tile, samples, value, contributor) in units {

@@ -137,12 +137,14 @@ impl Job {
 
     /// A unit that was given back, for this worker; `alone` if no other worker could take it.
     pub fn take_returned(&mut self, worker: WorkerId, alone: bool) -> Option<UnitKey> {
-        let has_suspect = self.open.values().any(|o| o.suspect() && o.leases.iter().any(|(w, _)| *w == worker));
+        let holds_one = |open: &HashMap<UnitKey, Open>| {
+            open.values().any(|o| o.suspect() && o.leases.iter().any(|(holder, _)| *holder == worker))
+        };
         for _ in 0..self.returned.len() {
             let key = self.returned.pop_front()?;
             match self.open.get(&key) {
                 Some(open) if open.avoid == Some(worker) && !alone => self.returned.push_back(key),
-                Some(open) if open.suspect() && has_suspect => self.returned.push_back(key),
+                Some(open) if open.suspect() && holds_one(&self.open) => self.returned.push_back(key),
                 Some(_) => return Some(key),
                 None => {}
             }
@@ -246,16 +248,16 @@ impl Job {
 
     /// Whether no unit that is counted or open has any of these samples.
     fn is_uncut(&self, tile: u32, samples: &Range<u32>) -> bool {
-        let meets = |(key, open): (&UnitKey, &Open)| {
-            key.tile == tile && key.start < samples.end && samples.start < open.end
-        };
+        let meets =
+            |(key, open): (&UnitKey, &Open)| key.tile == tile && key.start < samples.end && samples.start < open.end;
         !self.done[tile as usize].overlaps(samples) && !self.open.iter().any(meets)
     }
 
     /// Whether this can be a unit of this job at all, however it was cut.
     pub fn plausible(&self, unit: &Unit) -> bool {
         // The tiles of an ended job are not known any more.
-        self.state.is_final() || (self.plan.index_of(&unit.tile).is_some() && unit.samples.end <= self.spec.settings.spp)
+        self.state.is_final()
+            || (self.plan.index_of(&unit.tile).is_some() && unit.samples.end <= self.spec.settings.spp)
     }
 
     /// Counts a unit whose verdict is [`Verdict::Accepted`], and says who had it.

@@ -18,7 +18,9 @@ impl Ledger {
         match job.verdict(&header.unit, &header.key) {
             Verdict::Duplicate if self.checks(header).is_some() => Verdict::Accepted,
             // Whoever cannot be held to account must register first.
-            Verdict::Accepted if self.policy.verify > 0.0 && !self.workers.contains_key(&header.worker) => Verdict::Stale,
+            Verdict::Accepted if self.policy.verify > 0.0 && !self.workers.contains_key(&header.worker) => {
+                Verdict::Stale
+            }
             verdict => verdict,
         }
     }
@@ -96,7 +98,10 @@ impl Ledger {
             Finding::Agreed => self.end_if_complete(now, id),
             Finding::Undecided => {}
             Finding::Guilty(wrong) => {
-                let text = format!("of {:?}, samples {:?}, it brought other sums than two others", header.unit.tile, header.unit.samples);
+                let text = format!(
+                    "of {:?}, samples {:?}, it brought other sums than two others",
+                    header.unit.tile, header.unit.samples
+                );
                 for liar in wrong {
                     self.shut_out(liar, text.clone());
                     outcome.convicted.push(liar);

@@ -373,7 +373,8 @@ fn units_fit_the_worker_and_shrink_towards_the_end() {
 fn a_unit_that_kills_three_workers_is_set_aside_and_the_others_go_on() {
     let mut world = World::new(&[JobSpec { name: "room.xml".into(), ..spec(64, 64, 8) }, spec(16, 16, 4)]);
     let killer = Window { x0: 16, y0: 16, x1: 32, y1: 32 };
-    let deadly = |lease: &Lease| lease.unit.job == JobId(1) && lease.unit.tile == killer && lease.unit.samples.start == 0;
+    let deadly =
+        |lease: &Lease| lease.unit.job == JobId(1) && lease.unit.tile == killer && lease.unit.samples.start == 0;
     let mut deaths = 0;
     for _ in 0..100 {
         world.now += LEASE_SILENCE;
@@ -394,7 +395,10 @@ fn a_unit_that_kills_three_workers_is_set_aside_and_the_others_go_on() {
     }
     assert_eq!(deaths, 3);
     let JobState::Failed(why) = world.state(1) else { panic!("{:?}", world.state(1)) };
-    assert!(why.contains("1 units were set aside") && why.contains("render room.xml --crop 16,16,32,32 --spp"), "{why}");
+    assert!(
+        why.contains("1 units were set aside") && why.contains("render room.xml --crop 16,16,32,32 --spp"),
+        "{why}"
+    );
     assert_eq!(world.state(2), JobState::Finished);
     let of_first = world.counted.keys().filter(|key| key.0 == JobId(1)).count();
     assert!(of_first >= 64 * 64 * 8 - 16 * 16 * 8, "{of_first} samples of the first job are counted");
@@ -460,4 +464,42 @@ fn three_results_that_make_no_sense_shut_a_worker_out_for_good() {
     assert!(matches!(&refusal, LedgerError::ShutOut(why) if why.contains("worse")), "{refusal}");
     let other = world.ledger.register(world.now, WorkerInfo { instance: 8, ..info(1) }).unwrap();
     assert!(!world.lease(other, 9).unwrap().is_empty(), "its units are others' now");
+}
+
+/// Ten thousand workers, each finishing a unit every five seconds and heard every second: what the ledger does for them in
+/// ten seconds takes it a small part of that. The bound is that of a machine busy with other tests; alone it takes half a
+/// second. Fails if anything done for a unit looks at all workers or all units.
+#[test]
+fn ten_thousand_workers_keep_the_ledger_a_small_part_of_a_core_busy() {
+    const WORKERS: u64 = 10_000;
+    let jobs = [JobSpec { tile: Some(64), ..spec(4096, 4096, 1 << 16) }];
+    let key = work_key(&jobs[0].scene, &jobs[0].settings);
+    let mut world = World::new(&jobs);
+    let workers: Vec<WorkerId> = (0..WORKERS).map(|_| world.worker(1)).collect();
+    let mut held: Vec<Vec<Lease>> = workers.iter().map(|&worker| world.lease(worker, 2).unwrap()).collect();
+    let begun = std::time::Instant::now();
+    let mut units = 0;
+    for tenth in 0..100u64 {
+        world.now += Duration::from_millis(100);
+        for (i, &worker) in workers.iter().enumerate() {
+            if (i as u64 + tenth).is_multiple_of(10) {
+                let fences = held[i].iter().map(|lease| lease.fence).collect();
+                world.ledger.heartbeat(world.now, &Heartbeat { worker, fences, samples: 0 }).unwrap();
+            }
+            if (i as u64 + tenth).is_multiple_of(50) {
+                let Lease { fence, unit } = held[i].remove(0);
+                let header = ResultHeader { worker, fence, unit, key, trace: Duration::from_secs(5), bytes: 0 };
+                assert!(world.ledger.accept(world.now, &header, None).merge);
+                world.ledger.merged(world.now, JobId(1));
+                held[i].extend(world.lease(worker, 1).unwrap());
+                units += 1;
+            }
+        }
+        if tenth % 5 == 0 {
+            world.ledger.expire(world.now);
+        }
+    }
+    assert_eq!(units, WORKERS * 2);
+    assert_eq!(world.ledger.workers.len() as u64, WORKERS);
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?} for ten seconds", begun.elapsed());
 }

@@ -6,6 +6,10 @@ use super::{
 };
 use std::collections::HashSet;
 use std::time::Duration;
+use tilecast_proto::limits::LEASE_SILENCE_MS;
+
+/// Whoever was not heard for so long when its leases lapse has probably died.
+const SILENCE_OF_THE_DEAD: Duration = Duration::from_millis(LEASE_SILENCE_MS * 3 / 5);
 
 impl Ledger {
     /// A worker is alive and names its leases: those are renewed, and it is told which are not its own any more.
@@ -47,7 +51,10 @@ impl Ledger {
         for id in self.workers.keys().copied().collect::<Vec<_>>() {
             let lost = self.take_back(id, |_, held| held.deadline <= now);
             any |= !lost.is_empty();
-            self.blame(now, &lost);
+            // A lease that lapses while its worker is heard was never received: nobody died of it.
+            if self.workers.get(&id).is_some_and(|worker| worker.heard_at + SILENCE_OF_THE_DEAD <= now) {
+                self.blame(now, &lost);
+            }
             if self.workers.get(&id).is_some_and(|worker| worker.heard_at + LEASE_SILENCE <= now) {
                 self.leave(id, &[]);
                 any = true;
@@ -70,12 +77,15 @@ impl Ledger {
 
     /// Units whose holder fell silent: one of them may be why. If one did the same before, it is that one.
     fn blame(&mut self, now: Duration, lost: &[Held]) {
-        let suspect =
-            |held: &&Held| self.jobs.get(&held.job).and_then(|job| job.open.get(&held.unit)).is_some_and(|o| o.suspect());
+        let suspect = |held: &&Held| {
+            self.jobs.get(&held.job).and_then(|job| job.open.get(&held.unit)).is_some_and(|o| o.suspect())
+        };
         let suspects: Vec<Held> = lost.iter().filter(suspect).copied().collect();
         let blamed = if suspects.is_empty() { lost } else { &suspects };
         for held in blamed.iter().filter(|held| !held.audit) {
-            let Some(open) = self.jobs.get_mut(&held.job).and_then(|job| job.open.get_mut(&held.unit)) else { continue };
+            let Some(open) = self.jobs.get_mut(&held.job).and_then(|job| job.open.get_mut(&held.unit)) else {
+                continue;
+            };
             open.losses += 1;
             if open.losses >= UNIT_LOSSES_MAX {
                 let why = format!("{UNIT_LOSSES_MAX} workers fell silent while they traced it");

@@ -1,6 +1,7 @@
 //! The service that clients call.
 
-use super::{Shared, lock, panicked};
+use super::{Shared, lock, next, panicked};
+use crate::access::{Role, caller};
 use crate::ledger::RestoredJob;
 use crate::plan::Plan;
 use crate::store::StoreError;
@@ -52,7 +53,7 @@ impl jobs_server::Jobs for Jobs {
         request: Request<Streaming<wire::BlobChunk>>,
     ) -> Result<Response<wire::PutBlobReply>, Status> {
         let mut stream = request.into_inner();
-        let first = stream.message().await?.ok_or(WireError::Stream("has no blob"))?;
+        let first = next(&mut stream).await?.ok_or(WireError::Stream("has no blob"))?;
         let digest = convert::digest(&first.digest, "blob.digest")?;
         let len = convert::blob_len(first.bytes)?;
         let room = Room::new(&self.0, len)?;
@@ -68,9 +69,10 @@ impl jobs_server::Jobs for Jobs {
     }
 
     async fn submit_job(&self, request: Request<wire::Job>) -> Result<Response<wire::JobId>, Status> {
+        let owner = caller(&request).identity;
         let spec = JobSpec::try_from(request.into_inner())?;
         let shared = Arc::clone(&self.0);
-        let submitted = tokio::task::spawn_blocking(move || submit(&shared, spec, None));
+        let submitted = tokio::task::spawn_blocking(move || submit(&shared, spec, owner));
         let job = submitted.await.map_err(panicked)??;
         tracing::info!(job = job.0, "job queued");
         Ok(Response::new(job.into()))
@@ -95,8 +97,10 @@ impl jobs_server::Jobs for Jobs {
     }
 
     async fn cancel_job(&self, request: Request<wire::JobId>) -> Result<Response<wire::Progress>, Status> {
+        let caller = caller(&request);
+        let who = caller.identity.filter(|_| caller.role != Role::Admin);
         let job = JobId::from(request.into_inner());
-        self.0.with_ledger(|ledger, now| ledger.cancel(now, job, None))?;
+        self.0.with_ledger(|ledger, now| ledger.cancel(now, job, who))?;
         self.0.work.notify_waiters();
         Ok(Response::new(progress(&self.0, job)?.into()))
     }
@@ -155,7 +159,7 @@ async fn receive(
         }
         hasher.update(&data);
         bytes.extend_from_slice(&data);
-        match stream.message().await? {
+        match next(stream).await? {
             Some(chunk) => data = chunk.data,
             None => break,
         }

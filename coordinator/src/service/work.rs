@@ -1,6 +1,6 @@
 //! The service that workers call.
 
-use super::{Shared, lock, panicked};
+use super::{Shared, lock, next, panicked};
 use bytes::{Bytes, BytesMut};
 use std::sync::Arc;
 use std::time::Duration;
@@ -58,7 +58,7 @@ impl work_server::Work for Work {
 
     async fn submit(&self, request: Request<Streaming<ResultChunk>>) -> Result<Response<SubmitReply>, Status> {
         let mut stream = request.into_inner();
-        let first = stream.message().await?.ok_or(WireError::Stream("has no result"))?;
+        let first = next(&mut stream).await?.ok_or(WireError::Stream("has no result"))?;
         let header = first.header.ok_or(WireError::Missing("result.header"))?;
         let worker = WorkerId(header.worker);
         let header = ResultHeader::try_from(header).inspect_err(|error| self.0.offence(worker, &error.to_string()))?;
@@ -129,7 +129,7 @@ async fn result_bytes(
     // Grows with what comes, up to what the header announced, which is bounded by its tile.
     let mut all = BytesMut::from(first);
     while all.len() < header.bytes {
-        let chunk = stream.message().await?.ok_or(WireError::Stream("ends before the result does"))?;
+        let chunk = next(stream).await?.ok_or(WireError::Stream("ends before the result does"))?;
         if chunk.data.is_empty() {
             return Err(WireError::Stream("has an empty chunk").into());
         }

@@ -139,7 +139,7 @@ pub(super) fn film(disk: &Disk, folder: &Path, spec: &JobSpec, take: &mut dyn Fn
 pub(super) fn record<T: DeserializeOwned>(disk: &Disk, path: &Path, kind: Kind) -> Result<Option<T>, StoreError> {
     let failed = |source| StoreError::Io { path: path.to_owned(), source };
     let Some(input) = disk.open(path).map_err(failed)? else { return Ok(None) };
-    let payload = RecordReader::new(input, kind).and_then(|mut records| records.next());
+    let payload = RecordReader::new(input, kind).and_then(|mut records| records.read());
     let payload = payload.map_err(|e| damaged(path, &e))?.ok_or_else(|| damaged(path, &RecordError::Torn(0)))?;
     let nonsense = |e: postcard::Error| StoreError::Damaged { path: path.to_owned(), reason: e.to_string() };
     postcard::from_bytes(&payload).map(Some).map_err(nonsense)
@@ -168,7 +168,7 @@ fn entries(disk: &Disk, path: &Path, take: &mut dyn FnMut(Piece)) -> Result<(), 
         Err(_) => return Ok(()),
     };
     loop {
-        match records.next() {
+        match records.read() {
             Ok(Some(payload)) => match Entry::decode(payload) {
                 Some(entry) => take(Piece::Entry(entry)),
                 None => return Ok(()),

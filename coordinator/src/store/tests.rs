@@ -11,6 +11,8 @@ use tilecast_proto::convert::work_key;
 use tilecast_proto::types::{JobSpec, LeaseRequest, ResultHeader, Unit, Verdict, WorkerInfo};
 
 const SPP: u32 = 16;
+/// The first job.
+pub(crate) const JOB: JobId = JobId(1);
 
 fn spec() -> JobSpec {
     JobSpec {
@@ -23,7 +25,7 @@ fn spec() -> JobSpec {
 }
 
 /// The sums of a unit: a function of its pixels and samples alone.
-fn traced(unit: &Unit) -> TileSums {
+pub(crate) fn traced(unit: &Unit) -> TileSums {
     let mut tile = TileSums::new(unit.tile, unit.samples.clone());
     for (i, pixel) in tile.pixels.iter_mut().enumerate() {
         for sample in unit.samples.clone() {
@@ -36,7 +38,7 @@ fn traced(unit: &Unit) -> TileSums {
     tile
 }
 
-fn expected() -> Digest {
+pub(crate) fn expected() -> Digest {
     let mut film = tilecast_core::film::Film::new(&spec().settings);
     for x0 in [0, 16] {
         let tile = Window { x0, y0: 0, x1: x0 + 16, y1: 16 };
@@ -45,16 +47,27 @@ fn expected() -> Digest {
     film.digest()
 }
 
+pub(crate) fn job_key() -> Digest {
+    work_key(&spec().scene, &spec().settings)
+}
+
 /// A coordinator without a wire, and one worker that does `units` units of each job there is.
-struct Session(Arc<crate::service::Shared>);
+pub(crate) struct Session(pub Arc<crate::service::Shared>);
 
 impl Session {
     fn open(root: &Path, disk: Disk) -> Result<Self, StoreError> {
-        let config = Config { state: Some(root.to_owned()), disk, ..Config::default() };
-        Ok(Self(Coordinator::open(&config)?.0))
+        Self::with(&Config { state: Some(root.to_owned()), disk, ..Config::default() })
     }
 
-    fn submit(&self) -> Option<JobId> {
+    pub fn with(config: &Config) -> Result<Self, StoreError> {
+        Ok(Self(Coordinator::open(config)?.shared))
+    }
+
+    pub fn state(&self) -> JobState {
+        self.0.with_ledger(|ledger, now| ledger.progress(now, JOB)).unwrap().state
+    }
+
+    pub fn submit(&self) -> Option<JobId> {
         crate::service::submit(&self.0, spec(), None).ok()
     }
 
@@ -81,7 +94,7 @@ impl Session {
                 let header = ResultHeader {
                     worker,
                     fence: lease.fence,
-                    key: work_key(&spec().scene, &spec().settings),
+                    key: job_key(),
                     unit: lease.unit,
                     trace: Duration::from_secs(1),
                     bytes: encoded.len(),
@@ -94,16 +107,16 @@ impl Session {
         false
     }
 
-    fn film(&self, job: JobId) -> Digest {
+    pub fn film(&self, job: JobId) -> Digest {
         crate::service::whole_film(&self.0, job).unwrap().digest()
     }
 
-    fn snapshot(&self, job: JobId) -> Result<(), StoreError> {
+    pub fn snapshot(&self, job: JobId) -> Result<(), StoreError> {
         self.0.films.snapshot(job, &spec(), true)
     }
 
     /// Ends it as a kill would: what the journal's thread has not taken is lost.
-    fn close(self) {
+    pub fn close(self) {
         if let Some(store) = &self.0.store {
             store.close();
         }

@@ -147,7 +147,7 @@ pub fn read(input: impl Read) -> Result<(Head, Vec<Part>), FilmFileError> {
     let mut records = RecordReader::new(input, KIND)?;
     let (mut head, mut parts, mut hasher) = (None, Vec::new(), blake3::Hasher::new());
     for index in 0.. {
-        let payload = records.next()?.ok_or(FilmFileError::NoEnd)?;
+        let payload = records.read()?.ok_or(FilmFileError::NoEnd)?;
         let nonsense = FilmFileError::Nonsense(index);
         let Some((&tag, rest)) = payload.split_first() else { return Err(nonsense) };
         match (tag, &head) {
@@ -160,7 +160,7 @@ pub fn read(input: impl Read) -> Result<(Head, Vec<Part>), FilmFileError> {
             (TAG_END, Some(_)) => {
                 let end: End = whole(rest).ok_or(FilmFileError::Nonsense(index))?;
                 let agrees = end.parts == parts.len() as u64 && end.digest.0 == *hasher.finalize().as_bytes();
-                if !agrees || records.next()?.is_some() {
+                if !agrees || records.read()?.is_some() {
                     return Err(nonsense);
                 }
                 break;
@@ -229,6 +229,8 @@ pub fn overlap(parts: &[Part]) -> Option<(Window, Range<u32>)> {
 }
 
 #[cfg(test)]
+// One range is meant where one stands.
+#[allow(clippy::single_range_in_vec_init)]
 mod tests {
     use super::*;
     use crate::film::TileSums;
@@ -244,6 +246,7 @@ mod tests {
             integrator: Integrator { kind: IntegratorKind::Path, max_depth: None, rr_depth: 5, hide_emitters: false },
             strategy: Strategy::Mis,
             sampler: SamplerKind::Sobol,
+            without: Default::default(),
             scale_exponent: 60,
         }
     }

@@ -113,7 +113,7 @@ impl<R: Read> RecordReader<R> {
     ///
     /// # Errors
     /// [`RecordError::Torn`] if there is something that is no record; what was read before is sound.
-    pub fn next(&mut self) -> Result<Option<Vec<u8>>, RecordError> {
+    pub fn read(&mut self) -> Result<Option<Vec<u8>>, RecordError> {
         let torn = RecordError::Torn(self.offset);
         let mut head = Vec::new();
         self.input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head)?;
@@ -158,7 +158,7 @@ mod tests {
             Err(error) => return (found, Some(error)),
         };
         loop {
-            match reader.next() {
+            match reader.read() {
                 Ok(Some(payload)) => found.push(payload),
                 Ok(None) => return (found, None),
                 Err(error) => return (found, Some(error)),

@@ -7,8 +7,8 @@ use crate::limits::{
 };
 use crate::sums;
 use crate::types::{
-    Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, Lease, LeaseReply, LeaseRequest, Leave, ResultHeader, Unit,
-    Verdict, Welcome, WorkerId, WorkerInfo,
+    Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, Lease, LeaseReply, LeaseRequest, Leave, ResultHeader,
+    Unit, Verdict, Welcome, WorkerId, WorkerInfo,
 };
 use crate::version::Version;
 use crate::wire;
