@@ -12,6 +12,11 @@ test:
 system module="":
     cargo test --release --test system -- {{module}}
 
+# The long tests of the cluster: real processes killed 100 times each, 100 liars, 10,000 simulated clusters. Hours.
+soak:
+    TILECAST_RUNS=100 cargo test --release --test system -- faults liars
+    TILECAST_SEEDS=10000 cargo test --release -p tilecast-coordinator sim
+
 # Formats everything.
 fmt:
     cargo fmt --all

@@ -1,17 +1,27 @@
 //! `tilecast coordinator`: serves until it is told to stop.
 
+use crate::flags::Usage;
 use crate::report::{Report, Style};
 use crate::stop::on_signal;
 use anyhow::Context;
+use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
 use tilecast_coordinator::Config;
+use tilecast_coordinator::access::Security;
 use tilecast_proto::transport::tcp_incoming;
 use tokio::net::TcpListener;
+use tokio::task::spawn_blocking;
 
 /// Where to serve.
 pub struct Coordinator {
     /// HOST:PORT.
     pub listen: String,
+    /// Where jobs and films are kept.
+    pub state: Option<PathBuf>,
+    /// The share of units that is done twice.
+    pub verify: f64,
+    /// Whom it lets in.
+    pub security: Option<Security>,
     /// How it tells of itself.
     pub style: Style,
 }
@@ -20,15 +30,26 @@ pub struct Coordinator {
 ///
 /// # Errors
 /// An address that cannot be had.
-pub async fn run(Coordinator { listen, style }: Coordinator) -> anyhow::Result<()> {
+pub async fn run(Coordinator { listen, state, verify, security, style }: Coordinator) -> anyhow::Result<()> {
     let stop = on_signal()?;
     let listener = TcpListener::bind(&listen)
         .await
         .with_context(|| format!("--listen {listen}: cannot serve there; is another coordinator running?"))?;
-    Report::new(style).listening(&listener.local_addr()?.to_string());
+    let address = listener.local_addr()?;
+    if !address.ip().is_loopback() && security.is_none() {
+        let what = format!("--listen {listen}: others could reach it, and there is nothing to tell friend from foe");
+        return Err(
+            Usage(format!("{what}; make certificates with `tilecast certs init certs` and add --certs certs")).into()
+        );
+    }
+    let address = address.to_string();
+    let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     // Seconds since 1970 fit 32 bits until 2106; the number need only differ from those before.
-    let incarnation = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| (d.as_secs() & 0xffff_ffff) as u32);
-    let config = Config { incarnation, ..Config::default() };
-    tilecast_coordinator::run(tcp_incoming(listener), config, stop.cancelled()).await?;
+    let incarnation = (epoch.as_secs() & 0xffff_ffff) as u32;
+    let config = Config { incarnation, epoch, state, verify, security, ..Config::default() };
+    let coordinator = spawn_blocking(move || tilecast_coordinator::Coordinator::open(&config));
+    let coordinator = coordinator.await.context("reading the state panicked")??;
+    Report::new(style).listening(&address);
+    coordinator.serve(tcp_incoming(listener), stop.cancelled()).await?;
     Ok(())
 }

@@ -2,10 +2,12 @@
 
 mod measuring;
 mod replaying;
+mod security;
 mod values;
 
 use crate::bench::Bench;
 use crate::cancel::Cancel;
+use crate::certs::Certs;
 use crate::compare::Compare;
 use crate::coordinator::Coordinator;
 use crate::info::Info;
@@ -20,12 +22,14 @@ use crate::worker::Worker;
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use measuring::{BenchFlags, CompareFlags};
+use security::{ConnectFlags, GuardFlags};
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tilecast_coordinator::access::Role;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::settings::Window;
 use tilecast_proto::limits::{THREADS_MAX, TILE_SIDE_MAX};
-use tilecast_proto::transport::Connector;
 use values::{IntegratorName, SamplerName, SavingName, StrategyName};
 
 /// Flags that cannot be meant as they are written, found after clap has read them: the exit code is that of usage errors.
@@ -63,6 +67,8 @@ pub enum Task {
     Compare(Compare),
     /// `tilecast bench`
     Bench(Bench),
+    /// `tilecast certs init`
+    Certs(Certs),
 }
 
 #[derive(Subcommand)]
@@ -94,6 +100,9 @@ enum Command {
     /// Measures error against time and samples, and plots it.
     #[command(after_help = measuring::BENCH_EXAMPLES)]
     Bench(BenchFlags),
+    /// Makes certificates for a cluster beyond loopback.
+    #[command(after_help = "Example:\n  tilecast certs init certs")]
+    Certs(CertsFlags),
 }
 
 const RENDER_EXAMPLES: &str = "\
@@ -109,9 +118,13 @@ Examples:
 
 const CLUSTER_EXAMPLES: &str = "\
 A cluster in three commands:
-  tilecast coordinator --listen 0.0.0.0:7878             on one machine
-  tilecast worker --connect 10.0.0.1:7878                on each machine that traces
-  tilecast submit scene.xml --connect 10.0.0.1:7878      wherever the scene is";
+  tilecast coordinator --listen 127.0.0.1:7878           one of these
+  tilecast worker --connect 127.0.0.1:7878               as many as you like
+  tilecast submit scene.xml --connect 127.0.0.1:7878     writes scene.exr
+Beyond this machine, all three with certificates from `tilecast certs init certs`:
+  tilecast coordinator --listen 0.0.0.0:7878 --certs certs --state state
+  tilecast worker --connect 10.0.0.1:7878 --certs certs
+  tilecast submit scene.xml --connect 10.0.0.1:7878 --certs certs";
 
 /// The scene, and how it is rendered.
 #[derive(Args)]
@@ -201,6 +214,10 @@ struct RenderFlags {
     sample: Option<u32>,
 }
 
+/// As whom a client comes: what it has the certificate of.
+const CLIENTS: [Role; 2] = [Role::Client, Role::Admin];
+/// Whoever may cancel anybody's job does so as that.
+const ADMINS: [Role; 2] = [Role::Admin, Role::Client];
 /// Worker processes on one machine; more have no cores to run on.
 const CHILDREN_MAX: u32 = 1024;
 
@@ -216,15 +233,16 @@ struct CoordinatorFlags {
     /// Address and port to serve on; port 0 takes a free one
     #[arg(long, value_name = "ADDR")]
     listen: String,
+    /// Keeps jobs and images in the making in this folder: whatever ends the coordinator, the next one goes on
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
+    /// Has this share of all units done again by another worker; the bits must agree [default: 0; 0.05 is a good one]
+    #[arg(long, value_name = "RATE", value_parser = values::share)]
+    verify: Option<f64>,
+    #[command(flatten)]
+    guard: GuardFlags,
     #[command(flatten)]
     style: StyleFlags,
-}
-
-#[derive(Args)]
-struct ConnectFlags {
-    /// Where the coordinator listens: HOST:PORT
-    #[arg(long, value_name = "ADDR")]
-    connect: String,
 }
 
 #[derive(Args)]
@@ -239,6 +257,9 @@ struct WorkerFlags {
     name: String,
     #[command(flatten)]
     isa: IsaFlags,
+    /// Ends after so long, such as 90s, 30m or 4h: give a scheduler's walltime
+    #[arg(long, value_name = "TIME", value_parser = values::time)]
+    lifetime: Option<Duration>,
     /// Ends when standard input does
     #[arg(long, hide = true)]
     exit_with_parent: bool,
@@ -272,6 +293,24 @@ struct CancelFlags {
 }
 
 #[derive(Args)]
+struct CertsFlags {
+    #[command(subcommand)]
+    command: CertsCommand,
+}
+
+#[derive(Subcommand)]
+enum CertsCommand {
+    /// Makes a private authority, and certificates, keys and tokens for coordinator, workers, clients and admins
+    Init {
+        /// Folder to make them in
+        folder: PathBuf,
+        /// How long they are valid
+        #[arg(long, value_name = "N", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
+        days: u32,
+    },
+}
+
+#[derive(Args)]
 struct InfoFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
@@ -294,19 +333,25 @@ impl Cli {
     pub fn task(self) -> anyhow::Result<Task> {
         Ok(match self.command {
             Command::Render(flags) => flags.ready()?,
-            Command::Coordinator(CoordinatorFlags { listen, style }) => {
-                Task::Coordinator(Coordinator { listen, style: style.ready() })
+            Command::Coordinator(CoordinatorFlags { listen, state, verify, guard, style }) => {
+                let (verify, security) = (verify.unwrap_or(0.0), guard.ready()?);
+                Task::Coordinator(Coordinator { listen, state, verify, security, style: style.ready() })
             }
             Command::Worker(flags) => Task::Worker(flags.ready()?),
             Command::Submit(flags) => Task::Submit(flags.ready()?),
             Command::Status(StatusFlags { connect, json }) => {
-                Task::Status(Status { connector: connect.ready()?, json })
+                Task::Status(Status { connector: connect.ready(&CLIENTS)?, json })
             }
-            Command::Cancel(CancelFlags { connect, job }) => Task::Cancel(Cancel { connector: connect.ready()?, job }),
+            Command::Cancel(CancelFlags { connect, job }) => {
+                Task::Cancel(Cancel { connector: connect.ready(&ADMINS)?, job })
+            }
             Command::Compare(flags) => Task::Compare(flags.ready()),
             Command::Bench(flags) => Task::Bench(flags.ready()?),
             Command::Info(InfoFlags { scene, defines, substitute, json }) => {
                 Task::Info(Info { scene, defines, substitute, json })
+            }
+            Command::Certs(CertsFlags { command: CertsCommand::Init { folder, days } }) => {
+                Task::Certs(Certs { folder, lifetime: Duration::from_secs(u64::from(days) * 86_400) })
             }
         })
     }
@@ -334,10 +379,11 @@ impl RenderFlags {
 impl WorkerFlags {
     fn ready(self) -> anyhow::Result<Worker> {
         Ok(Worker {
-            connector: self.connect.ready()?,
+            connector: self.connect.ready(&[Role::Worker, Role::Admin])?,
             threads: self.threads.unwrap_or_else(cores),
             name: self.name,
             isa: self.isa.ready()?,
+            lifetime: self.lifetime,
             exit_with_parent: self.exit_with_parent,
         })
     }
@@ -347,7 +393,7 @@ impl SubmitFlags {
     fn ready(self) -> anyhow::Result<Submit> {
         let (tile, style) = (self.output.tile, self.output.style.ready());
         let output = self.output.ready(&self.picture.scene)?;
-        Ok(Submit { picture: self.picture.ready(), connector: self.connect.ready()?, output, tile, style })
+        Ok(Submit { picture: self.picture.ready(), connector: self.connect.ready(&CLIENTS)?, output, tile, style })
     }
 }
 
@@ -393,12 +439,6 @@ impl StyleFlags {
             _ if std::io::stderr().is_terminal() => Style::Bar,
             _ => Style::Lines,
         }
-    }
-}
-
-impl ConnectFlags {
-    fn ready(self) -> anyhow::Result<Connector> {
-        Connector::tcp(&self.connect).map_err(|e| Usage(format!("--connect: {e}")).into())
     }
 }
 

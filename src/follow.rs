@@ -4,11 +4,19 @@ use crate::output::Output;
 use crate::picture::Ready;
 use crate::report::Report;
 use crate::stop::Stopped;
-use anyhow::{Context, bail};
-use std::time::Instant;
-use tilecast_proto::client::{Client, Watch};
+use anyhow::{Context, anyhow, bail};
+use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
+use std::time::{Duration, Instant};
+use tilecast_core::film::Film;
+use tilecast_proto::client::{Client, ClientError, Watch};
 use tilecast_proto::types::{JobId, JobSpec, JobState, Progress, REPLAY_COMMAND};
 use tokio_util::sync::CancellationToken;
+use tonic::Code;
+
+/// The first wait for a coordinator that is gone; it doubles up to [`RETRY_MAX`].
+const RETRY_MIN: Duration = Duration::from_millis(100);
+/// The longest.
+const RETRY_MAX: Duration = Duration::from_secs(3);
 
 /// What those who work for the job have to say.
 pub enum News {
@@ -31,10 +39,9 @@ pub async fn follow(
     news: impl AsyncFnMut() -> News,
 ) -> anyhow::Result<()> {
     let id = client.submit(job).await?;
-    let mut watch = client.watch(id).await?;
     report.started(&ready.blobs.digest, &ready.settings, &output.exr);
     let ended = tokio::select! {
-        ended = to_end(&mut watch, &ready.replay, report, news) => ended,
+        ended = to_end(client, id, ready, report, news) => ended,
         () = stop.cancelled() => Err(Stopped.into()),
     };
     let progress = match ended {
@@ -48,16 +55,26 @@ pub async fn follow(
     write(client, id, ready, progress, output, report).await
 }
 
-/// Follows a job to its good end.
+/// Follows a job to its good end. A coordinator that goes away is waited for: one with a state goes on when it is started
+/// again.
 async fn to_end(
-    watch: &mut Watch,
-    replay: &str,
+    client: &Client,
+    id: JobId,
+    ready: &Ready,
     report: &mut Report,
     mut news: impl AsyncFnMut() -> News,
 ) -> anyhow::Result<Progress> {
+    let mut following = Following { client, id, watch: None, delays: None };
     loop {
         let progress = tokio::select! {
-            progress = watch.next() => progress.context("lost the coordinator")?,
+            progress = following.next() => match progress {
+                Ok(progress) => progress,
+                Err(Lost::ForGood(error)) => return Err(error),
+                Err(Lost::ForNow(why)) => {
+                    report.warning(&format!("lost the coordinator ({why}); waiting for it"));
+                    continue;
+                }
+            },
             told = news() => {
                 match told {
                     News::Warning(text) => report.warning(&text),
@@ -66,16 +83,103 @@ async fn to_end(
                 continue;
             }
         };
-        let progress = progress.context("the coordinator stopped before the image was complete")?;
+        if progress.scene != ready.blobs.digest || progress.settings != ready.settings {
+            bail!("job {id} is another one now: the coordinator was replaced; submit again, to one with --state");
+        }
         report.progress(&progress);
         match &progress.state {
             JobState::Queued | JobState::Running => {}
             JobState::Finished => return Ok(progress),
             JobState::Failed(why) => {
-                bail!("the image cannot be rendered: {}", why.replace(REPLAY_COMMAND, replay))
+                bail!("the image cannot be rendered: {}", why.replace(REPLAY_COMMAND, &ready.replay))
             }
             JobState::Cancelled => bail!("someone cancelled the job; nothing was written"),
         }
+    }
+}
+
+/// A job's events, over as many connections as it takes.
+struct Following<'a> {
+    client: &'a Client,
+    id: JobId,
+    watch: Option<Watch>,
+    /// How long to wait for a coordinator that is gone.
+    delays: Option<ExponentialBackoff>,
+}
+
+/// A watch that has ended.
+enum Lost {
+    /// The coordinator will not have the job again.
+    ForGood(anyhow::Error),
+    /// It may come back; told once.
+    ForNow(String),
+}
+
+impl Following<'_> {
+    /// The next event. Asking may be broken off.
+    async fn next(&mut self) -> Result<Progress, Lost> {
+        loop {
+            let event = match &mut self.watch {
+                Some(watch) => watch.next().await,
+                None => match self.client.watch(self.id).await {
+                    Ok(watch) => {
+                        self.watch = Some(watch);
+                        continue;
+                    }
+                    Err(error) => Err(error),
+                },
+            };
+            let why = match event {
+                Ok(Some(progress)) => {
+                    self.delays = None;
+                    return Ok(progress);
+                }
+                Ok(None) => "it stopped".to_owned(),
+                Err(ClientError::Call(status)) if status.code() == Code::NotFound => {
+                    let lost =
+                        anyhow!("{}; a coordinator keeps jobs over restarts if it has --state", status.message());
+                    return Err(Lost::ForGood(
+                        lost.context("the coordinator was replaced by one that does not know the job"),
+                    ));
+                }
+                Err(ClientError::Call(status)) if is_final(status.code()) => {
+                    return Err(Lost::ForGood(anyhow!(ClientError::Call(status))));
+                }
+                Err(error) => error.to_string(),
+            };
+            self.watch = None;
+            let first = self.delays.is_none();
+            if first {
+                self.delays = Some(backoff());
+                return Err(Lost::ForNow(why));
+            }
+            let delay = self.delays.as_mut().and_then(Iterator::next).unwrap_or(RETRY_MAX);
+            tokio::time::sleep(delay).await;
+        }
+    }
+}
+
+fn backoff() -> ExponentialBackoff {
+    let backoff = ExponentialBuilder::default().with_min_delay(RETRY_MIN).with_max_delay(RETRY_MAX);
+    backoff.with_jitter().without_max_times().build()
+}
+
+/// Whether trying again will not help.
+fn is_final(code: Code) -> bool {
+    matches!(code, Code::PermissionDenied | Code::Unauthenticated | Code::InvalidArgument | Code::FailedPrecondition)
+}
+
+/// The film, from a coordinator that may go away meanwhile.
+async fn fetch(client: &Client, id: JobId) -> anyhow::Result<Film> {
+    let mut delays = backoff();
+    loop {
+        match client.film(id).await {
+            Ok(film) => return Ok(film),
+            Err(ClientError::Call(status)) if status.code() != Code::NotFound && !is_final(status.code()) => {}
+            Err(ClientError::Connect(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
+        tokio::time::sleep(delays.next().unwrap_or(RETRY_MAX)).await;
     }
 }
 
@@ -88,7 +192,7 @@ async fn write(
     report: &mut Report,
 ) -> anyhow::Result<()> {
     let begun = Instant::now();
-    let film = client.film(id).await.context("the finished image could not be fetched")?;
+    let film = fetch(client, id).await.context("the finished image could not be fetched")?;
     let (settings, scene, files) = (ready.settings.clone(), ready.blobs.digest, output.clone());
     let digest = tokio::task::spawn_blocking(move || {
         files.write(&film, &settings, &scene)?;

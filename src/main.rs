@@ -2,6 +2,7 @@
 
 mod bench;
 mod cancel;
+mod certs;
 mod children;
 mod compare;
 mod coordinator;
@@ -67,6 +68,7 @@ async fn perform(task: Task) -> anyhow::Result<()> {
         Task::Bench(bench) => bench::run(bench).await,
         Task::Compare(compare) => compare::run(compare).await,
         Task::Info(info) => info::run(info).await,
+        Task::Certs(certs) => certs::run(certs),
     }
 }
 

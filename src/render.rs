@@ -9,6 +9,7 @@ use crate::report::{Report, Style};
 use crate::stop::{on_signal, unless_stopped};
 use anyhow::{Context, anyhow};
 use std::sync::Arc;
+use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::scene::Scene;
 use tilecast_core::world::World;
@@ -104,7 +105,9 @@ impl Cluster {
         });
         let scenes = Arc::new(SceneCache::default());
         scenes.insert(ready.blobs.digest, Arc::new(world));
-        let config = WorkerConfig { threads, isa, name: String::new(), host: String::new() };
+        // When the render is done or broken off, nobody waits for what was begun.
+        let drain = Duration::ZERO;
+        let config = WorkerConfig { threads, isa, name: String::new(), host: String::new(), drain };
         let connector = Connector::Memory(memory);
         let (to_coordinator, closing) = (connector.clone(), shutdown.clone());
         let worker = tokio::spawn(async move {

@@ -3,11 +3,15 @@
 use crate::stop::on_signal;
 use std::io::Read;
 use std::sync::Arc;
+use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_proto::limits::NAME_BYTES_MAX;
 use tilecast_proto::transport::Connector;
 use tilecast_worker::WorkerConfig;
 use tilecast_worker::scenes::SceneCache;
+
+/// When it is told to end, what is begun may be finished for so long: a worker is gone within 10 s.
+const DRAIN: Duration = Duration::from_secs(8);
 
 /// For whom, and with what.
 pub struct Worker {
@@ -19,6 +23,8 @@ pub struct Worker {
     pub name: String,
     /// Instruction set.
     pub isa: Isa,
+    /// End after so long: a scheduler would end it soon after.
+    pub lifetime: Option<Duration>,
     /// End when standard input does: it is a pipe from the process that started this one.
     pub exit_with_parent: bool,
 }
@@ -28,7 +34,7 @@ pub struct Worker {
 /// # Errors
 /// A refusal by the coordinator.
 pub async fn run(worker: Worker) -> anyhow::Result<()> {
-    let Worker { connector, threads, name, isa, exit_with_parent } = worker;
+    let Worker { connector, threads, name, isa, lifetime, exit_with_parent } = worker;
     let stop = on_signal()?;
     if exit_with_parent {
         // A thread of its own: reading standard input cannot be broken off.
@@ -38,8 +44,20 @@ pub async fn run(worker: Worker) -> anyhow::Result<()> {
             std::process::exit(0);
         });
     }
-    let config = WorkerConfig { threads, isa, name, host: host() };
-    tilecast_worker::run(connector, config, Arc::new(SceneCache::default()), stop.cancelled()).await?;
+    let config = WorkerConfig { threads, isa, name, host: host(), drain: DRAIN };
+    let time_is_up = async {
+        match lifetime {
+            Some(lifetime) => tokio::time::sleep(lifetime.saturating_sub(DRAIN)).await,
+            None => std::future::pending().await,
+        }
+    };
+    let end = async {
+        tokio::select! {
+            () = stop.cancelled() => {}
+            () = time_is_up => {}
+        }
+    };
+    tilecast_worker::run(connector, config, Arc::new(SceneCache::default()), end).await?;
     Ok(())
 }
 

@@ -53,23 +53,25 @@ impl Blobs {
         Some(blob.bytes.clone())
     }
 
-    /// Sets room aside for an upload, dropping what nobody needs; [`Blobs::release`] gives it back.
+    /// Sets room aside for an upload, dropping what nobody needs and saying what; [`Blobs::release`] gives it back.
     ///
     /// # Errors
     /// No room.
-    pub fn reserve(&mut self, need: u64) -> Result<(), NoRoom> {
+    pub fn reserve(&mut self, need: u64) -> Result<Vec<Digest>, NoRoom> {
         let fixed = self.blobs.values().filter(|b| b.pins > 0).map(|b| b.bytes.len() as u64).sum::<u64>();
         let pinned = fixed + self.bytes_reserved;
         if pinned + need > self.bytes_max {
             return Err(NoRoom { need, pinned, limit: self.bytes_max });
         }
+        let mut dropped = Vec::new();
         while self.bytes_used + self.bytes_reserved + need > self.bytes_max {
             let oldest = self.blobs.iter().filter(|(_, b)| b.pins == 0).min_by_key(|(_, b)| b.used);
             let Some((&digest, _)) = oldest else { break };
             self.bytes_used -= self.blobs.remove(&digest).map_or(0, |b| b.bytes.len() as u64);
+            dropped.push(digest);
         }
         self.bytes_reserved += need;
-        Ok(())
+        Ok(dropped)
     }
 
     /// The upload that set this aside has ended, well or not.

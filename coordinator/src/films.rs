@@ -1,12 +1,22 @@
-//! The films of jobs, in memory, within a budget. What is kept here is derived: a durable store writes beside it what
-//! [`Films::merge`] is given, and gives it back after a restart.
+//! The films of jobs, in memory, within a budget. With a store, every change is appended to the job's journal, and films that
+//! had to go come back when someone asks for them.
 
+mod canvas;
+
+use crate::ledger::audit::Contributor;
+use crate::plan::Plan;
+use crate::store::{Entry, Store, StoreError};
+use bytes::Bytes;
+use canvas::Canvas;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use tilecast_core::film::{Film, PixelSums, REPLICATES, RelativeError, TileSums};
+use tilecast_core::film::file::Head;
+use tilecast_core::film::ranges::Ranges;
+use tilecast_core::film::{PixelSums, REPLICATES, RelativeError, TileSums};
 use tilecast_core::settings::Settings;
 use tilecast_proto::convert::film_rows;
-use tilecast_proto::types::JobId;
+use tilecast_proto::types::{JobId, JobSpec};
 use tilecast_proto::wire;
 
 /// Memory of one pixel: its sums and counts.
@@ -30,12 +40,15 @@ pub struct NoRoom {
 #[derive(Debug)]
 pub struct Films {
     bytes_max: u64,
+    /// Memory for what is kept apart by contributor, of each film; 0 if nothing is.
+    apart_bytes_max: u64,
+    store: Option<Arc<Store>>,
     slots: Mutex<BTreeMap<JobId, Slot>>,
 }
 
 #[derive(Debug)]
 struct Slot {
-    film: Arc<Mutex<Film>>,
+    canvas: Arc<Mutex<Canvas>>,
     bytes: u64,
     /// The job has ended: the film is dropped when its room is needed.
     ended: bool,
@@ -44,12 +57,12 @@ struct Slot {
 
 /// Room for a film, set aside until the job has a number.
 #[derive(Debug)]
-pub struct Reserved(Film, u64);
+pub struct Reserved(Canvas, u64);
 
 impl Films {
     /// No films, and room for `bytes_max`.
-    pub fn new(bytes_max: u64) -> Self {
-        Self { bytes_max, slots: Mutex::default() }
+    pub fn new(bytes_max: u64, apart_bytes_max: u64, store: Option<Arc<Store>>) -> Self {
+        Self { bytes_max, apart_bytes_max, store, slots: Mutex::default() }
     }
 
     /// Makes room for a film: films of ended jobs are dropped, fetched ones first, then the oldest. Callers take turns.
@@ -79,33 +92,96 @@ impl Films {
     }
 
     /// An empty film; call it where blocking is allowed, it may be large.
-    pub fn reserve(settings: &Settings) -> Reserved {
-        Reserved(Film::new(settings), settings.film.crop.area() * PIXEL_BYTES)
+    pub fn reserve(&self, settings: &Settings, plan: Plan) -> Reserved {
+        let canvas = Canvas::new(settings, plan, self.apart_bytes_max);
+        Reserved(canvas, settings.film.crop.area() * PIXEL_BYTES)
+    }
+
+    /// A film as the store has it.
+    ///
+    /// # Errors
+    /// The store's.
+    pub fn restore(&self, id: JobId, spec: &JobSpec, plan: Plan) -> Result<Reserved, StoreError> {
+        let mut film = self.reserve(&spec.settings, plan);
+        if let Some(store) = &self.store {
+            store.film(id, spec, |piece| film.0.restore(piece))?;
+        }
+        Ok(film)
     }
 
     /// Gives a film to a job.
-    pub fn insert(&self, job: JobId, Reserved(film, bytes): Reserved) {
-        let film = Arc::new(Mutex::new(film));
-        self.slots().insert(job, Slot { film, bytes, ended: false, fetched: false });
+    pub fn insert(&self, job: JobId, Reserved(canvas, bytes): Reserved, ended: bool) {
+        let canvas = Arc::new(Mutex::new(canvas));
+        self.slots().insert(job, Slot { canvas, bytes, ended, fetched: false });
     }
 
-    /// Adds a unit's sums, which the ledger has accepted.
-    pub fn merge(&self, job: JobId, sums: &TileSums) {
-        if let Some(film) = self.film(job) {
-            lock(&film).merge(sums);
+    /// Whether the film is in memory.
+    pub fn has(&self, job: JobId) -> bool {
+        self.slots().contains_key(&job)
+    }
+
+    /// Adds a unit's sums, which the ledger has accepted; `encoded` are the same as they came. `false` if whoever brought it
+    /// was banned meanwhile, and nothing was added.
+    pub fn merge(&self, job: JobId, sums: &TileSums, who: Contributor, encoded: Bytes) -> bool {
+        let Some(canvas) = self.canvas(job) else { return true };
+        let mut canvas = lock(&canvas);
+        if !canvas.merge(sums, who) {
+            return false;
         }
+        if let Some(store) = &self.store {
+            let (tile, samples) = (sums.tile, sums.samples.clone());
+            // Within the lock, so that a snapshot that begins in between has the unit.
+            store.append(job, Entry::Unit { tile, samples, contributor: who, sums: encoded });
+        }
+        true
+    }
+
+    /// Takes out all that a contributor brought; says which samples of which tiles.
+    pub fn take_out(&self, job: JobId, who: Contributor) -> Vec<(u32, Range<u32>)> {
+        let Some(canvas) = self.canvas(job) else { return Vec::new() };
+        let mut canvas = lock(&canvas);
+        let gone = canvas.take_out(who);
+        if let Some(store) = &self.store {
+            store.append(job, Entry::TakenOut(who));
+        }
+        gone
+    }
+
+    /// Writes a snapshot, if the journal has grown enough or `at_once`. Others go on merging meanwhile. Without a store there is none.
+    ///
+    /// # Errors
+    /// The disk's.
+    pub fn snapshot(&self, job: JobId, spec: &JobSpec, at_once: bool) -> Result<(), StoreError> {
+        let (Some(store), Some(canvas)) = (&self.store, self.canvas(job)) else { return Ok(()) };
+        if !at_once && !store.snapshot_due(job) {
+            return Ok(());
+        }
+        let engine = tilecast_core::VERSION.to_owned();
+        let head = Head { engine, scene: spec.scene, settings: spec.settings.clone() };
+        let mut snapshot = store.begin_snapshot(job, &head)?;
+        let tiles = lock(&canvas).tiles();
+        for tile in 0..tiles {
+            let parts = lock(&canvas).parts(tile);
+            parts.iter().try_for_each(|part| snapshot.part(part))?;
+        }
+        snapshot.commit()
+    }
+
+    /// The samples of every tile that a film has.
+    pub fn samples(&self, job: JobId) -> Vec<Ranges> {
+        self.canvas(job).map_or_else(Vec::new, |canvas| lock(&canvas).samples())
     }
 
     /// A chunk of a film, see [`film_rows`].
     pub fn rows(&self, job: JobId, first: u64) -> Option<wire::FilmChunk> {
-        let film = self.film(job)?;
-        film_rows(&lock(&film), first)
+        let canvas = self.canvas(job)?;
+        film_rows(lock(&canvas).film(), first)
     }
 
-    /// See [`Film::relative_error`].
+    /// See [`tilecast_core::film::Film::relative_error`].
     pub fn relative_error(&self, job: JobId) -> Option<RelativeError> {
-        let film = self.film(job)?;
-        lock(&film).relative_error(ERROR_PIXELS_MAX)
+        let canvas = self.canvas(job)?;
+        lock(&canvas).film().relative_error(ERROR_PIXELS_MAX)
     }
 
     /// The job has ended; its film stays until the room is needed.
@@ -122,8 +198,19 @@ impl Films {
         }
     }
 
-    fn film(&self, job: JobId) -> Option<Arc<Mutex<Film>>> {
-        self.slots().get(&job).map(|slot| Arc::clone(&slot.film))
+    /// A whole film.
+    #[cfg(test)]
+    pub fn copy(&self, job: JobId) -> Option<tilecast_core::film::Film> {
+        Some(lock(&*self.canvas(job)?).film().clone())
+    }
+
+    /// The job is forgotten.
+    pub fn forget(&self, job: JobId) {
+        self.slots().remove(&job);
+    }
+
+    fn canvas(&self, job: JobId) -> Option<Arc<Mutex<Canvas>>> {
+        self.slots().get(&job).map(|slot| Arc::clone(&slot.canvas))
     }
 
     fn slots(&self) -> MutexGuard<'_, BTreeMap<JobId, Slot>> {
@@ -144,10 +231,10 @@ mod tests {
     #[test]
     fn ended_films_make_room_fetched_ones_first() {
         let small = settings(10, 10, 1);
-        let films = Films::new(100 * PIXEL_BYTES * 3);
+        let films = Films::new(100 * PIXEL_BYTES * 3, 0, None);
         for id in 1..=3 {
             films.make_room(&small).unwrap();
-            films.insert(JobId(id), Films::reserve(&small));
+            films.insert(JobId(id), films.reserve(&small, Plan::new(&small, None).unwrap()), false);
         }
         assert!(films.make_room(&small).is_err());
         films.end(JobId(1));

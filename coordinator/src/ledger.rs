@@ -5,19 +5,27 @@
 //! shrink towards the end of the job (guided self-scheduling, Polychronopoulos & Kuck 1987), so that all finish together.
 //!
 //! Each (tile, sample range) is counted once, whoever brings it, however late: since a unit is a pure function, any result of
-//! it is the result. A lease only says who should not be disturbed by others meanwhile.
+//! it is the result. A lease only says who should not be disturbed by others meanwhile. In the tail of a job, idle workers get
+//! units that others take long over; what comes first counts.
+//!
+//! A unit that seems to kill its workers is set aside, so that the others go on; [`audit`] sees to workers that lie.
 
+pub mod audit;
 mod job;
-mod ranges;
 mod report;
+mod results;
 #[cfg(test)]
 pub(crate) mod tests;
+mod watch;
 
 use crate::plan::{Plan, TooManyTiles};
+use audit::Contributor;
 use job::{Job, UnitKey};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
+use tilecast_core::film::ranges::Ranges;
+use tilecast_core::scene::Digest;
 use tilecast_proto::convert::work_key;
 use tilecast_proto::limits::{LEASE_SILENCE_MS, LEASES_HELD_MAX, LEASES_PER_REPLY_MAX};
 use tilecast_proto::types::{
@@ -34,16 +42,24 @@ const TAIL_SHARE: u64 = 4;
 const RATE_UNKNOWN: f64 = 100_000.0;
 /// How much of a new measurement goes into a worker's rate; parts of a picture differ.
 const RATE_BLEND: f64 = 0.3;
-/// A unit on which the tracer panicked this often, on different workers where there are some, fails its job.
+/// A unit on which the tracer panicked this often, on different workers where there are some, is set aside.
 const UNIT_PANICS_MAX: u32 = 3;
-/// A unit whose holders fell silent this often fails its job: it seems to kill them. High, because most are innocent.
-const UNIT_LOSSES_MAX: u32 = 16;
+/// A unit whose holders fell silent this often is set aside: it seems to kill them.
+const UNIT_LOSSES_MAX: u32 = 3;
+/// A unit that takes longer than this many times the median is duplicated, if someone is idle.
+const OVERDUE_FACTOR: f64 = 1.5;
+/// Results that make no sense, after which a worker is shut out.
+pub const OFFENCES_MAX: u32 = 3;
+/// How long two workers that disagree wait for a third to decide, when nothing else is left to do.
+const DECISION_PATIENCE: Duration = Duration::from_secs(60);
 /// Jobs waiting or running.
 pub const JOBS_QUEUED_MAX: usize = 256;
 /// Jobs remembered after their end, for whoever asks.
 pub const JOBS_ENDED_MAX: usize = 256;
 /// Workers registered at a time.
 pub const WORKERS_MAX: usize = 16 << 10;
+/// Worker processes remembered, present or not: what they have brought, and whether they are shut out.
+const STANDINGS_MAX: usize = 4 * WORKERS_MAX;
 
 const LEASE_SILENCE: Duration = Duration::from_millis(LEASE_SILENCE_MS);
 
@@ -65,6 +81,21 @@ pub enum LedgerError {
     /// See [`crate::plan::TILES_MAX`].
     #[error(transparent)]
     Tiles(#[from] TooManyTiles),
+    /// It brought what makes no sense, or what others did not get.
+    #[error("this worker is shut out: {0}; its machine should be looked at, and the worker then started again")]
+    ShutOut(String),
+    /// The job belongs to another client.
+    #[error("job {0} was submitted by someone else; cancelling it takes an admin")]
+    NotYours(JobId),
+}
+
+/// How results are checked.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Policy {
+    /// The share of a proven worker's units that another does again, from 0 (no checks at all) to 1.
+    pub verify: f64,
+    /// Makes it unpredictable which.
+    pub seed: u64,
 }
 
 /// See the module.
@@ -74,7 +105,11 @@ pub struct Ledger {
     next_job: u64,
     next_fence: u64,
     workers: BTreeMap<WorkerId, Worker>,
+    /// Of all their threads.
+    threads: u64,
     jobs: BTreeMap<JobId, Job>,
+    policy: Policy,
+    standings: BTreeMap<Contributor, Standing>,
     /// Ended since [`Ledger::take_ended`].
     ended: Vec<JobId>,
 }
@@ -95,27 +130,48 @@ struct Held {
     job: JobId,
     unit: UnitKey,
     deadline: Duration,
+    /// It was done before, and is done again to see whether the bits agree.
+    audit: bool,
+}
+
+/// What a worker process has to its name.
+#[derive(Debug, Default)]
+struct Standing {
+    /// Units counted.
+    units: u32,
+    offences: u32,
+    shut_out: Option<String>,
 }
 
 /// What became of a result.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Outcome {
-    /// Whether its sums must be merged.
-    pub verdict: Verdict,
+    /// What the worker is told.
+    pub verdict: Option<Verdict>,
+    /// Its sums must be merged, and [`Ledger::merged`] be called then.
+    pub merge: bool,
     /// With it, another round over the whole image is complete: time to look at the error.
     pub round_done: bool,
+    /// These have lied: their units must be taken out of the film of every job in the second list, and
+    /// [`Ledger::recalled`] be called for each.
+    pub convicted: Vec<Contributor>,
+    /// See `convicted`.
+    pub recall: Vec<JobId>,
 }
 
 impl Ledger {
     /// An empty ledger. `incarnation` differs from that of every ledger before at the same address, so that the
     /// number of a worker or lease never comes to mean another.
-    pub fn new(incarnation: u32) -> Self {
+    pub fn new(incarnation: u32, policy: Policy) -> Self {
         Self {
             next_worker: u64::from(incarnation) << 32 | 1,
             next_job: 1,
             next_fence: u64::from(incarnation) << 32 | 1,
             workers: BTreeMap::new(),
+            threads: 0,
             jobs: BTreeMap::new(),
+            policy,
+            standings: BTreeMap::new(),
             ended: Vec::new(),
         }
     }
@@ -123,13 +179,18 @@ impl Ledger {
     /// A worker has come.
     ///
     /// # Errors
-    /// Too many.
+    /// Too many, or one that was shut out.
     pub fn register(&mut self, now: Duration, info: WorkerInfo) -> Result<WorkerId, LedgerError> {
-        if self.workers.len() >= WORKERS_MAX {
+        if let Some(why) = self.standings.get(&info.instance).and_then(|standing| standing.shut_out.clone()) {
+            return Err(LedgerError::ShutOut(why));
+        }
+        if self.workers.len() >= WORKERS_MAX || self.standings.len() >= STANDINGS_MAX {
             return Err(LedgerError::WorkersFull);
         }
         let id = WorkerId(self.next_worker);
         self.next_worker += 1;
+        self.threads += u64::from(info.threads);
+        self.standings.entry(info.instance).or_default();
         let worker =
             Worker { info, heard_at: now, leases: BTreeMap::new(), units_done: 0, samples_done: 0, rate: None };
         self.workers.insert(id, worker);
@@ -140,32 +201,63 @@ impl Ledger {
     ///
     /// # Errors
     /// A full queue, or tiles too small.
-    pub fn add_job(&mut self, now: Duration, spec: JobSpec) -> Result<JobId, LedgerError> {
+    pub fn add_job(&mut self, now: Duration, spec: JobSpec, owner: Option<Digest>) -> Result<JobId, LedgerError> {
         let waiting = self.jobs.values().filter(|job| !job.state.is_final()).count();
         if waiting >= JOBS_QUEUED_MAX {
             return Err(LedgerError::QueueFull);
         }
-        let ended: Vec<JobId> = self.jobs.iter().filter(|(_, job)| job.state.is_final()).map(|(&id, _)| id).collect();
-        let surplus = (ended.len() + 1).saturating_sub(JOBS_ENDED_MAX);
-        ended[..surplus].iter().for_each(|id| {
-            self.jobs.remove(id);
-        });
         let plan = Plan::new(&spec.settings, spec.tile)?;
         let key = work_key(&spec.scene, &spec.settings);
         let id = JobId(self.next_job);
         self.next_job += 1;
-        self.jobs.insert(id, Job::new(now, spec, key, plan));
+        self.jobs.insert(id, Job::new(now, spec, owner, key, plan));
         Ok(id)
     }
 
-    /// Lends units, returned ones first; none if there is nothing to do.
+    /// A job that was there before the coordinator was started again, with what was counted of each tile.
+    ///
+    /// # Errors
+    /// Tiles too small.
+    pub fn restore_job(&mut self, restored: RestoredJob, done: Vec<Ranges>) -> Result<(), LedgerError> {
+        let RestoredJob { id, spec, owner, queued_at, end } = restored;
+        let plan = Plan::new(&spec.settings, spec.tile)?;
+        let key = work_key(&spec.scene, &spec.settings);
+        let mut job = Job::new(queued_at, spec, owner, key, plan);
+        job.restore(done);
+        job.started_at = Some(queued_at).filter(|_| job.samples_done > 0);
+        if let Some((state, ended_at)) = end {
+            job.end(ended_at, state);
+        }
+        self.next_job = self.next_job.max(id.0 + 1);
+        self.jobs.insert(id, job);
+        Ok(())
+    }
+
+    /// Ends a restored job of which nothing is left to do: the crash came between the last unit and the end.
+    pub fn end_if_complete(&mut self, now: Duration, id: JobId) {
+        if let Some(state) = self.jobs.get(&id).and_then(Job::outcome) {
+            self.end_job(now, id, state);
+        }
+    }
+
+    /// Jobs that ended too long ago to be remembered; they are forgotten with this.
+    pub fn forget_old_jobs(&mut self) -> Vec<JobId> {
+        let ended: Vec<JobId> = self.jobs.iter().filter(|(_, job)| job.state.is_final()).map(|(&id, _)| id).collect();
+        let surplus = ended[..ended.len().saturating_sub(JOBS_ENDED_MAX)].to_vec();
+        surplus.iter().for_each(|id| {
+            self.jobs.remove(id);
+        });
+        surplus
+    }
+
+    /// Lends units: checks first, then returned ones, then new ones; to whom would be idle, what others take long over.
+    /// None if there is nothing to do.
     ///
     /// # Errors
     /// An unknown worker, which must register again.
     pub fn lease(&mut self, now: Duration, request: &LeaseRequest) -> Result<LeaseReply, LedgerError> {
         let id = request.worker;
-        let threads: u64 = self.workers.values().map(|w| u64::from(w.info.threads)).sum();
-        let workers = self.workers.len();
+        let (threads, workers, next_fence) = (self.threads, self.workers.len(), &mut self.next_fence);
         let worker = self.workers.get_mut(&id).ok_or(LedgerError::UnknownWorker(id))?;
         worker.heard_at = now;
         let mut reply = LeaseReply { unit_samples: 1, ..LeaseReply::default() };
@@ -180,15 +272,28 @@ impl Ledger {
             let mut described = request.known_jobs.contains(&job_id);
             while given < f64::from(request.slots) && reply.leases.len() < room {
                 let size = unit_samples(job, id, threads);
-                let Some(key) = job.take_returned(id, alone).or_else(|| job.cut(size)) else { break };
-                let fence = Fence(self.next_fence);
-                self.next_fence += 1;
-                let samples = job.samples(key);
+                let fence = Fence(*next_fence);
+                let (key, samples, audit) =
+                    if let Some((key, samples)) = job.audits.take(id, worker.info.instance, fence) {
+                        (key, samples, true)
+                    } else if let Some(key) = job.take_returned(id, alone).or_else(|| job.cut(size)) {
+                        (key, job.samples(key), false)
+                    } else if worker.leases.is_empty()
+                        && let Some(key) = job.take_overdue(id)
+                    {
+                        (key, job.samples(key), false)
+                    } else {
+                        break;
+                    };
+                *next_fence += 1;
                 let unit = Unit { job: job_id, tile: job.plan.tile(key.tile), samples };
-                if let Some(open) = job.open.get_mut(&key) {
-                    open.lease = Some((id, fence));
+                if let Some(open) = job.open.get_mut(&key).filter(|_| !audit) {
+                    if open.leases.is_empty() {
+                        open.since = now;
+                    }
+                    open.leases.push((id, fence));
                 }
-                worker.leases.insert(fence, Held { job: job_id, unit: key, deadline: now + LEASE_SILENCE });
+                worker.leases.insert(fence, Held { job: job_id, unit: key, deadline: now + LEASE_SILENCE, audit });
                 // One that came back may be larger than what would be cut now: it takes a slot none the less.
                 given += (unit.len() as f64 / size as f64).min(1.0);
                 reply.unit_samples = size;
@@ -204,153 +309,45 @@ impl Ledger {
         Ok(reply)
     }
 
-    /// What [`Ledger::accept`] would say now: a result that is not wanted need not be read.
-    pub fn verdict(&self, header: &ResultHeader) -> Verdict {
-        self.jobs.get(&header.unit.job).map_or(Verdict::Ended, |job| job.verdict(&header.unit, &header.key))
-    }
-
-    /// Counts a result whose sums were checked, once. If the verdict is [`Verdict::Accepted`], its sums must be merged, and
-    /// [`Ledger::merged`] be called then.
-    pub fn accept(&mut self, now: Duration, header: &ResultHeader) -> Outcome {
-        let unit = &header.unit;
-        let verdict = self.verdict(header);
-        if let Some(worker) = self.workers.get_mut(&header.worker) {
-            worker.heard_at = now;
-        }
-        let Some(job) = self.jobs.get_mut(&unit.job).filter(|_| verdict == Verdict::Accepted) else {
-            return Outcome { verdict, round_done: false };
-        };
-        let rounds = job.rounds_done();
-        let holder = job.count(unit).and_then(|open| open.lease);
-        let rate = unit.len() as f64 / header.trace.as_secs_f64().max(1e-6);
-        if let Some(worker) = self.workers.get_mut(&header.worker) {
-            worker.units_done += 1;
-            worker.samples_done += unit.len();
-            worker.rate = Some(blend(worker.rate, rate));
-            let known = job.rates.get(&header.worker).copied();
-            job.rates.insert(header.worker, blend(known, rate));
-        }
-        let round_done = job.rounds_done() > rounds;
-        if let Some((worker, fence)) = holder
-            && let Some(worker) = self.workers.get_mut(&worker)
-        {
-            worker.leases.remove(&fence);
-        }
-        Outcome { verdict, round_done }
-    }
-
-    /// The sums of an accepted result are in the film.
-    pub fn merged(&mut self, now: Duration, id: JobId) {
-        if let Some(job) = self.jobs.get_mut(&id) {
-            job.merging -= 1;
-            if job.merging == 0 && job.samples_done == job.samples_total && !job.state.is_final() {
-                self.end_job(now, id, JobState::Finished);
-            }
-        }
-    }
-
-    /// A worker gives a unit back that it could not do. A lease that is not its own any more changes nothing.
+    /// Ends a job, unless it has ended. `who` asks: its owner, or `None` for someone who may end any.
     ///
     /// # Errors
-    /// An unknown worker.
-    pub fn fail(&mut self, now: Duration, id: WorkerId, fence: Fence, failure: Failure) -> Result<(), LedgerError> {
-        let all = self.workers.keys().copied().collect::<Vec<_>>();
-        let worker = self.workers.get_mut(&id).ok_or(LedgerError::UnknownWorker(id))?;
-        worker.heard_at = now;
-        let host = format!("worker {} on {}", worker.info.name, worker.info.host);
-        let Some(held) = worker.leases.remove(&fence) else { return Ok(()) };
-        let Some(job) = self.jobs.get_mut(&held.job) else { return Ok(()) };
-        let samples = job.samples(held.unit);
-        let tile = job.plan.tile(held.unit.tile);
-        let Some(open) = job.open.get_mut(&held.unit) else { return Ok(()) };
-        let fatal = match failure {
-            Failure::Sample(text) => Some(text),
-            Failure::Panic(text) => {
-                open.panics += 1;
-                let often = open.panics >= UNIT_PANICS_MAX;
-                often.then(|| {
-                    format!("samples {samples:?} of {tile:?} failed {UNIT_PANICS_MAX} times, last on {host}: {text}")
-                })
-            }
-            Failure::Scene(text) => {
-                job.barred.insert(id);
-                let nobody = all.iter().all(|worker| job.barred.contains(worker));
-                nobody.then(|| format!("no worker can prepare the scene, last {host}: {text}"))
-            }
-        };
-        open.avoid = Some(id);
-        open.lease = None;
-        job.returned.push_back(held.unit);
-        let barred = job.barred.contains(&id);
-        if let Some(text) = fatal {
-            self.end_job(now, held.job, JobState::Failed(text));
-        } else if barred {
-            self.take_back(id, |other| other.job == held.job);
-        }
-        Ok(())
-    }
-
-    /// A worker is alive and names its leases: those are renewed, and it is told which are not its own any more.
-    ///
-    /// # Errors
-    /// An unknown worker.
-    pub fn heartbeat(&mut self, now: Duration, beat: &Heartbeat) -> Result<HeartbeatReply, LedgerError> {
-        let worker = self.workers.get_mut(&beat.worker).ok_or(LedgerError::UnknownWorker(beat.worker))?;
-        worker.heard_at = now;
-        let mut renew = |fence: &Fence| match worker.leases.get_mut(fence) {
-            Some(held) => {
-                held.deadline = now + LEASE_SILENCE;
-                false
-            }
-            None => true,
-        };
-        Ok(HeartbeatReply { drop: beat.fences.iter().copied().filter(|fence| renew(fence)).collect() })
-    }
-
-    /// A worker goes: its units wait for others.
-    pub fn leave(&mut self, id: WorkerId) {
-        self.take_back(id, |_| true);
-        self.workers.remove(&id);
-        self.jobs.values_mut().for_each(|job| {
-            job.rates.remove(&id);
-            job.barred.remove(&id);
-        });
-    }
-
-    /// Takes back leases that lapsed and forgets silent workers; whether there is work to give out again.
-    pub fn expire(&mut self, now: Duration) -> bool {
-        let mut any = false;
-        for id in self.workers.keys().copied().collect::<Vec<_>>() {
-            for (job, unit) in self.take_back(id, |held| held.deadline <= now) {
-                any = true;
-                let Some(open) = self.jobs.get_mut(&job).and_then(|job| job.open.get_mut(&unit)) else { continue };
-                open.losses += 1;
-                if open.losses >= UNIT_LOSSES_MAX {
-                    let text = format!(
-                        "{UNIT_LOSSES_MAX} workers fell silent while they held tile {} from sample {}; does it kill them?",
-                        unit.tile, unit.start
-                    );
-                    self.end_job(now, job, JobState::Failed(text));
-                }
-            }
-            if self.workers.get(&id).is_some_and(|worker| worker.heard_at + LEASE_SILENCE <= now) {
-                self.leave(id);
-                any = true;
-            }
-        }
-        any
-    }
-
-    /// Ends a job, unless it has ended.
-    ///
-    /// # Errors
-    /// An unknown job.
-    pub fn cancel(&mut self, now: Duration, id: JobId) -> Result<(), LedgerError> {
+    /// An unknown job, or another's.
+    pub fn cancel(&mut self, now: Duration, id: JobId, who: Option<Digest>) -> Result<(), LedgerError> {
         let job = self.jobs.get(&id).ok_or(LedgerError::UnknownJob(id))?;
+        if who.is_some() && job.owner.is_some() && job.owner != who {
+            return Err(LedgerError::NotYours(id));
+        }
         if !job.state.is_final() {
             self.end_job(now, id, JobState::Cancelled);
         }
         Ok(())
+    }
+
+    /// Takes back a job that was added just now and could not be kept.
+    pub fn remove_job(&mut self, id: JobId) {
+        self.jobs.remove(&id);
+    }
+
+    /// What was asked of a job.
+    ///
+    /// # Errors
+    /// An unknown job.
+    pub fn spec(&self, id: JobId) -> Result<JobSpec, LedgerError> {
+        self.jobs.get(&id).map(|job| job.spec.clone()).ok_or(LedgerError::UnknownJob(id))
+    }
+
+    /// Jobs that have not ended.
+    pub fn running(&self) -> Vec<(JobId, JobSpec)> {
+        let running = self.jobs.iter().filter(|(_, job)| !job.state.is_final());
+        running.map(|(&id, job)| (id, job.spec.clone())).collect()
+    }
+
+    /// Ends a job that cannot be gone on with.
+    pub fn fail_job(&mut self, now: Duration, id: JobId, why: String) {
+        if self.jobs.get(&id).is_some_and(|job| !job.state.is_final()) {
+            self.end_job(now, id, JobState::Failed(why));
+        }
     }
 
     /// Notes what the film says of its error.
@@ -360,9 +357,14 @@ impl Ledger {
         }
     }
 
-    /// Jobs that have ended since this was called last: what was kept for them may go.
-    pub fn take_ended(&mut self) -> Vec<JobId> {
-        std::mem::take(&mut self.ended)
+    /// Jobs that have ended since this was called last, how, and when: what was kept for them may go.
+    pub fn take_ended(&mut self) -> Vec<(JobId, JobState, Duration)> {
+        let ended = std::mem::take(&mut self.ended);
+        let described = |id: JobId| {
+            let job = self.jobs.get(&id)?;
+            Some((id, job.state.clone(), job.ended_at.unwrap_or_default()))
+        };
+        ended.into_iter().filter_map(described).collect()
     }
 
     fn end_job(&mut self, now: Duration, id: JobId, state: JobState) {
@@ -374,21 +376,45 @@ impl Ledger {
         self.workers.values_mut().for_each(|worker| worker.leases.retain(|_, held| held.job != id));
     }
 
-    /// Ends those leases of a worker that `which` picks; their units wait for someone.
-    fn take_back(&mut self, id: WorkerId, which: impl Fn(&Held) -> bool) -> Vec<(JobId, UnitKey)> {
+    /// Ends those leases of a worker that `which` picks; their units wait for someone, unless another has them too.
+    fn take_back(&mut self, id: WorkerId, which: impl Fn(&Fence, &Held) -> bool) -> Vec<Held> {
         let Some(worker) = self.workers.get_mut(&id) else { return Vec::new() };
-        let taken: Vec<(JobId, UnitKey)> =
-            worker.leases.values().filter(|held| which(held)).map(|held| (held.job, held.unit)).collect();
-        worker.leases.retain(|_, held| !which(held));
-        for (job, unit) in &taken {
-            let Some(job) = self.jobs.get_mut(job) else { continue };
-            if let Some(open) = job.open.get_mut(unit) {
-                open.lease = None;
-                job.returned.push_back(*unit);
+        let mut taken = Vec::new();
+        worker.leases.retain(|fence, held| {
+            let goes = which(fence, held);
+            if goes {
+                taken.push(*held);
+            }
+            !goes
+        });
+        for held in &taken {
+            let Some(job) = self.jobs.get_mut(&held.job) else { continue };
+            if held.audit {
+                job.audits.give_back(held.unit);
+            } else if let Some(open) = job.open.get_mut(&held.unit) {
+                open.leases.retain(|(worker, _)| *worker != id);
+                if open.leases.is_empty() {
+                    job.returned.push_back(held.unit);
+                }
             }
         }
         taken
     }
+}
+
+/// A job as it was kept.
+#[derive(Clone, Debug)]
+pub struct RestoredJob {
+    /// Its number.
+    pub id: JobId,
+    /// What was asked.
+    pub spec: JobSpec,
+    /// By whom.
+    pub owner: Option<Digest>,
+    /// When.
+    pub queued_at: Duration,
+    /// How and when it ended, if it has.
+    pub end: Option<(JobState, Duration)>,
 }
 
 /// The size of the next unit for a worker, in samples.
@@ -396,8 +422,4 @@ fn unit_samples(job: &Job, worker: WorkerId, threads: u64) -> u64 {
     let second = (job.rate(worker).unwrap_or(RATE_UNKNOWN) * UNIT_SECONDS) as u64;
     let left = job.samples_total - job.samples_cut;
     second.min(left / (TAIL_SHARE * threads.max(1))).max(job.smallest_unit())
-}
-
-fn blend(old: Option<f64>, new: f64) -> f64 {
-    old.map_or(new, |old| old + (new - old) * RATE_BLEND)
 }

@@ -7,30 +7,39 @@ mod work;
 use crate::Config;
 use crate::blobs::Blobs;
 use crate::films::Films;
-use crate::ledger::{Ledger, LedgerError};
+use crate::ledger::{Ledger, LedgerError, Policy};
+use crate::store::{Broken, KeptJob, Store, StoreError};
+use bytes::Bytes;
 use std::collections::HashMap;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::hash::{BuildHasher, RandomState};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tilecast_core::film::sums;
 use tilecast_core::scene::Digest;
-use tilecast_proto::types::{JobId, ResultHeader, Verdict};
+use tilecast_proto::limits::STREAM_IDLE_MS_MAX;
+use tilecast_proto::types::{JobId, JobState, ResultHeader, Verdict, WorkerId};
 use tokio::sync::Notify;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use tonic::Status;
+use tonic::{Status, Streaming};
 
 pub(crate) use jobs::Jobs;
+#[cfg(test)]
+pub(crate) use jobs::{submit, whole_film};
 pub(crate) use work::Work;
 
 /// See the module.
 #[derive(Debug)]
 pub(crate) struct Shared {
     ledger: Mutex<Ledger>,
-    films: Films,
+    pub(crate) films: Films,
     blobs: Mutex<Blobs>,
+    pub(crate) store: Option<Arc<Store>>,
     /// Blobs kept for jobs that have not ended.
     pinned: Mutex<HashMap<JobId, Vec<Digest>>>,
     /// Held while a job is let in, so that two do not take the same room.
     submitting: Mutex<()>,
+    epoch: Duration,
     started: Instant,
     /// There may be work to lend.
     work: Notify,
@@ -41,65 +50,221 @@ pub(crate) struct Shared {
 }
 
 impl Shared {
-    pub(crate) fn new(config: &Config) -> Self {
-        Self {
-            ledger: Mutex::new(Ledger::new(config.incarnation)),
-            films: Films::new(config.film_bytes_max),
+    /// Everything as it was kept, if there is a state.
+    pub(crate) fn open(config: &Config) -> Result<Self, StoreError> {
+        let opened = config.state.as_ref().map(|root| Store::open(root, config.disk.clone())).transpose()?;
+        let (store, recovered) = opened.map_or((None, None), |(store, found)| (Some(Arc::new(store)), Some(found)));
+        let starts = recovered.as_ref().map_or(0, |found| found.starts);
+        let policy = Policy { verify: config.verify, seed: RandomState::new().hash_one(starts) };
+        let apart_bytes_max = if config.verify > 0.0 { config.apart_bytes_max } else { 0 };
+        let shared = Self {
+            ledger: Mutex::new(Ledger::new(config.incarnation.wrapping_add(starts), policy)),
+            films: Films::new(config.film_bytes_max, apart_bytes_max, store.clone()),
             blobs: Mutex::new(Blobs::new(config.blob_bytes_max)),
+            store,
             pinned: Mutex::default(),
             submitting: Mutex::default(),
+            epoch: config.epoch,
             started: Instant::now(),
             work: Notify::new(),
             changed: Notify::new(),
             closing: CancellationToken::new(),
+        };
+        if let Some(found) = recovered {
+            for (digest, bytes) in found.blobs {
+                shared.keep_in_memory(digest, bytes);
+            }
+            found.jobs.into_iter().try_for_each(|job| shared.restore(job))?;
+        }
+        Ok(shared)
+    }
+
+    fn keep_in_memory(&self, digest: Digest, bytes: Bytes) {
+        let len = bytes.len() as u64;
+        let mut blobs = self.blobs();
+        match blobs.reserve(len) {
+            Ok(dropped) => {
+                blobs.insert(digest, bytes);
+                blobs.release(len);
+                dropped.iter().for_each(|digest| self.drop_blob(digest));
+            }
+            Err(_) => self.drop_blob(&digest),
         }
     }
 
-    /// Takes lapsed leases back.
-    pub(crate) fn expire(&self) {
-        if self.with_ledger(|ledger, now| ledger.expire(now)) {
+    fn drop_blob(&self, digest: &Digest) {
+        if let Some(store) = &self.store {
+            store.drop_blob(digest);
+        }
+    }
+
+    /// A job goes on where it was.
+    fn restore(&self, KeptJob { job, engine, .. }: KeptJob) -> Result<(), StoreError> {
+        let (id, spec, ended) = (job.id, job.spec.clone(), job.end.is_some());
+        let unfit = |reason: String| StoreError::Damaged { path: format!("jobs/{id}/job").into(), reason };
+        let plan = || crate::plan::Plan::new(&spec.settings, spec.tile).map_err(|e| unfit(e.to_string()));
+        if ended {
+            // Its film is read when someone asks for it.
+            return self.with_ledger(|ledger, _| ledger.restore_job(job, Vec::new())).map_err(|e| unfit(e.to_string()));
+        }
+        let blobs = if spec.workers_hold_scene { Ok(Vec::new()) } else { jobs::scene_blobs(self, &spec.scene) };
+        let pinned = blobs.and_then(|blobs| match self.blobs().pin(&blobs) {
+            Ok(()) => Ok(blobs),
+            Err(missing) => Err(Status::data_loss(format!("part {missing} of the scene is lost"))),
+        });
+        let film = self.films.restore(id, &spec, plan()?)?;
+        self.films.insert(id, film, false);
+        let error = self.films.relative_error(id);
+        self.with_ledger(|ledger, now| {
+            ledger.restore_job(job, self.films.samples(id)).map_err(|e| unfit(e.to_string()))?;
+            ledger.set_relative_error(id, error);
+            match pinned {
+                Err(status) => {
+                    let why = format!("the coordinator was started again, and {}; submit it again", status.message());
+                    ledger.fail_job(now, id, why);
+                }
+                Ok(_) if engine != tilecast_core::VERSION => {
+                    let ours = tilecast_core::VERSION;
+                    ledger.fail_job(
+                        now,
+                        id,
+                        format!("it was begun with engine {engine}, and this one is {ours}; images depend on it"),
+                    );
+                }
+                Ok(blobs) => {
+                    lock(&self.pinned).insert(id, blobs);
+                    ledger.end_if_complete(now, id);
+                }
+            }
+            Ok(())
+        })?;
+        tracing::info!(job = id.0, "job goes on");
+        Ok(())
+    }
+
+    /// Told when the state cannot be kept any more.
+    pub(crate) fn broken(&self) -> Option<Arc<Broken>> {
+        self.store.as_ref().map(|store| store.broken())
+    }
+
+    /// Takes lapsed leases back; `pause` is for how long nobody could have been heard.
+    pub(crate) fn expire(&self, pause: Duration) {
+        let any = self.with_ledger(|ledger, now| {
+            if !pause.is_zero() {
+                ledger.forgive(pause);
+            }
+            ledger.expire(now)
+        });
+        if any {
             self.work.notify_waiters();
             self.changed.notify_waiters();
         }
     }
 
-    /// Checks, counts and merges a result. Decoding and adding take a few milliseconds: not for an async thread.
-    fn merge(&self, header: &ResultHeader, bytes: &[u8]) -> Result<Verdict, Status> {
-        let sums = header.sums(bytes)?;
-        let job = header.unit.job;
-        let outcome = self.with_ledger(|ledger, now| ledger.accept(now, header));
-        if outcome.verdict == Verdict::Accepted {
-            self.films.merge(job, &sums);
-            if outcome.round_done {
-                let error = self.films.relative_error(job);
-                self.with_ledger(|ledger, _| ledger.set_relative_error(job, error));
+    /// Writes the snapshots that are due. Blocks.
+    pub(crate) fn snapshots(&self) {
+        for (job, spec) in lock(&self.ledger).running() {
+            if let Err(error) = self.films.snapshot(job, &spec, false)
+                && let Some(store) = &self.store
+            {
+                store.fail(error);
             }
-            self.with_ledger(|ledger, now| ledger.merged(now, job));
+        }
+    }
+
+    /// Checks, counts and merges a result. Decoding and adding take a few milliseconds: not for an async thread.
+    pub(crate) fn merge(&self, header: &ResultHeader, bytes: Bytes) -> Result<Verdict, Status> {
+        let sums = match header.sums(&bytes) {
+            Ok(sums) => sums,
+            Err(error) => {
+                self.offence(header.worker, &error.to_string());
+                return Err(error.into());
+            }
+        };
+        let job = header.unit.job;
+        let compares = lock(&self.ledger).compares();
+        // Of the one encoding a value has, whatever came.
+        let digest = compares.then(|| Digest::of(&sums::encode(&sums.pixels)));
+        let (outcome, who) =
+            self.with_ledger(|ledger, now| (ledger.accept(now, header, digest), ledger.contributor(header.worker)));
+        for &liar in &outcome.convicted {
+            tracing::error!(instance = liar, "a worker's sums are not those of others; its units are done again");
+        }
+        for &job in &outcome.recall {
+            let units: Vec<_> = outcome.convicted.iter().flat_map(|&liar| self.films.take_out(job, liar)).collect();
+            self.with_ledger(|ledger, now| ledger.recalled(now, job, &units));
+        }
+        if outcome.merge {
+            if self.films.merge(job, &sums, who, bytes) {
+                if outcome.round_done {
+                    let error = self.films.relative_error(job);
+                    self.with_ledger(|ledger, _| ledger.set_relative_error(job, error));
+                }
+                self.with_ledger(|ledger, now| ledger.merged(now, job));
+            } else {
+                self.with_ledger(|ledger, now| ledger.unmerged(now, &header.unit));
+            }
+        }
+        if outcome.merge || !outcome.recall.is_empty() || compares {
             self.changed.notify_waiters();
         }
-        Ok(outcome.verdict)
+        if compares {
+            self.work.notify_waiters();
+        }
+        Ok(outcome.verdict.unwrap_or(Verdict::Stale))
+    }
+
+    /// A worker brought what makes no sense.
+    fn offence(&self, worker: WorkerId, what: &str) {
+        tracing::warn!(worker = worker.0, what, "a result makes no sense");
+        if self.with_ledger(|ledger, _| ledger.offence(worker, what)) {
+            tracing::error!(worker = worker.0, "the worker is shut out");
+            self.work.notify_waiters();
+        }
     }
 
     /// Does something with the ledger, and lets go of what was kept for jobs that have ended by it.
-    fn with_ledger<T>(&self, act: impl FnOnce(&mut Ledger, Duration) -> T) -> T {
-        let now = self.started.elapsed();
-        let (result, ended) = {
+    pub(crate) fn with_ledger<T>(&self, act: impl FnOnce(&mut Ledger, Duration) -> T) -> T {
+        let now = self.epoch + self.started.elapsed();
+        let (result, ended, forgotten) = {
             let mut ledger = lock(&self.ledger);
             let result = act(&mut ledger, now);
-            (result, ledger.take_ended())
+            let ended = ledger.take_ended();
+            let forgotten = if ended.is_empty() { Vec::new() } else { ledger.forget_old_jobs() };
+            (result, ended, forgotten)
         };
-        for job in ended {
-            self.films.end(job);
-            let pinned = lock(&self.pinned).remove(&job).unwrap_or_default();
-            self.blobs().unpin(&pinned);
-            self.changed.notify_waiters();
+        for (job, state, at) in ended {
+            self.end(job, &state, at);
+        }
+        for job in forgotten {
+            self.films.forget(job);
+            if let Some(store) = &self.store {
+                store.forget_job(job);
+            }
         }
         result
+    }
+
+    fn end(&self, job: JobId, state: &JobState, at: Duration) {
+        self.films.end(job);
+        let pinned = lock(&self.pinned).remove(&job).unwrap_or_default();
+        self.blobs().unpin(&pinned);
+        if let Some(store) = &self.store {
+            store.end_job(job, state, at);
+        }
+        self.changed.notify_waiters();
     }
 
     fn blobs(&self) -> MutexGuard<'_, Blobs> {
         lock(&self.blobs)
     }
+}
+
+/// The next message of a stream of bulk; one on which nothing comes is broken off.
+async fn next<T>(stream: &mut Streaming<T>) -> Result<Option<T>, Status> {
+    let patience = Duration::from_millis(STREAM_IDLE_MS_MAX);
+    let silent = |_| Status::deadline_exceeded("nothing came for too long");
+    tokio::time::timeout(patience, stream.message()).await.map_err(silent)?
 }
 
 /// A panic while a lock is held is a bug that has cost its own call; the ledger's methods leave no half-done account behind
@@ -115,6 +280,7 @@ impl From<LedgerError> for Status {
             LedgerError::UnknownWorker(_) | LedgerError::UnknownJob(_) => Status::not_found(text),
             LedgerError::QueueFull | LedgerError::WorkersFull => Status::resource_exhausted(text),
             LedgerError::Tiles(_) => Status::invalid_argument(text),
+            LedgerError::ShutOut(_) | LedgerError::NotYours(_) => Status::permission_denied(text),
         }
     }
 }

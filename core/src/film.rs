@@ -8,6 +8,11 @@
 //! Sample `i` of a pixel belongs to replicate `i % REPLICATES`. Replicates are independent of each other, so the spread of
 //! their means measures the error of the whole mean.
 
+pub mod file;
+pub mod ranges;
+pub mod records;
+pub mod sums;
+
 use crate::scene::Digest;
 use crate::settings::{Settings, Window};
 use glam::Vec3;
@@ -77,11 +82,18 @@ impl PixelSums {
         Ok(())
     }
 
-    /// Adds another's sums. They are bounded by what [`PixelSums::add`] accepts; what comes from elsewhere is checked by
+    /// Adds another's sums, exactly. They are bounded by what [`PixelSums::add`] accepts; what comes from elsewhere is checked by
     /// [`TileSums::check`] first.
-    fn merge(&mut self, other: &PixelSums) {
+    pub fn merge(&mut self, other: &PixelSums) {
         for (mine, theirs) in self.0.iter_mut().flatten().zip(other.0.iter().flatten()) {
             *mine += theirs;
+        }
+    }
+
+    /// Undoes [`PixelSums::merge`], exactly.
+    pub fn remove(&mut self, other: &PixelSums) {
+        for (mine, theirs) in self.0.iter_mut().flatten().zip(other.0.iter().flatten()) {
+            *mine -= theirs;
         }
     }
 }
@@ -130,11 +142,14 @@ impl TileSums {
 
     /// Whether the sums are such as their number of samples can make: what is merged is bounded.
     pub fn check(&self) -> bool {
-        let count = self.samples.len() as i128;
-        let bound = count << SAMPLE_BITS;
-        self.pixels.len() as u64 == self.tile.area()
-            && self.pixels.iter().all(|p| p.0.iter().flatten().all(|s| s.unsigned_abs() <= bound.unsigned_abs()))
+        bounded(self.tile, self.samples.len() as u64, &self.pixels)
     }
+}
+
+/// Whether these can be the sums of `count` samples of every pixel of `tile`.
+fn bounded(tile: Window, count: u64, pixels: &[PixelSums]) -> bool {
+    let bound = u128::from(count) << SAMPLE_BITS;
+    pixels.len() as u64 == tile.area() && pixels.iter().all(|p| p.0.iter().flatten().all(|s| s.unsigned_abs() <= bound))
 }
 
 /// The image in the making: the sums of every pixel of a crop window, and how many samples each replicate has.
@@ -189,19 +204,55 @@ impl Film {
     /// Adds a unit's result. Merging is exact: order and grouping do not matter. The tile must lie within the window; each
     /// (tile, sample range) must be merged once, which is the ledger's care.
     pub fn merge(&mut self, part: &TileSums) {
-        assert!(self.window.contains(&part.tile), "tile {:?} outside {:?}", part.tile, self.window);
-        let added = replicate_counts(&part.samples);
-        let width = part.tile.width() as usize;
-        for (row, pixels) in part.pixels.chunks_exact(width).enumerate() {
-            let y = part.tile.y0 + row as u32;
-            let start = self.index(part.tile.x0, y);
+        self.add(part.tile, std::slice::from_ref(&part.samples), &part.pixels);
+    }
+
+    /// Adds the sums of several disjoint sample ranges of a tile.
+    pub fn add(&mut self, tile: Window, samples: &[Range<u32>], pixels: &[PixelSums]) {
+        let counts = counts(samples);
+        self.change(tile, pixels, |sums, count, pixel| {
+            sums.merge(pixel);
+            count.iter_mut().zip(counts).for_each(|(c, n)| *c += n);
+        });
+    }
+
+    /// Takes out what [`Film::add`] added: what is left is, to the bit, what would be there without it.
+    pub fn remove(&mut self, tile: Window, samples: &[Range<u32>], pixels: &[PixelSums]) {
+        let counts = counts(samples);
+        self.change(tile, pixels, |sums, count, pixel| {
+            sums.remove(pixel);
+            count.iter_mut().zip(counts).for_each(|(c, n)| *c -= n);
+        });
+    }
+
+    fn change(
+        &mut self,
+        tile: Window,
+        pixels: &[PixelSums],
+        act: impl Fn(&mut PixelSums, &mut [u32; REPLICATES], &PixelSums),
+    ) {
+        assert!(self.window.contains(&tile), "tile {tile:?} outside {:?}", self.window);
+        let width = tile.width() as usize;
+        for (row, pixels) in pixels.chunks_exact(width).enumerate() {
+            let start = self.index(tile.x0, tile.y0 + row as u32);
             let sums = &mut self.sums[start..start + width];
             let counts = &mut self.counts[start..start + width];
             for ((sum, count), pixel) in sums.iter_mut().zip(counts).zip(pixels) {
-                sum.merge(pixel);
-                count.iter_mut().zip(added).for_each(|(c, a)| *c += a);
+                act(sum, count, pixel);
             }
         }
+    }
+
+    /// A copy of the sums of a tile, row by row.
+    pub fn tile(&self, tile: Window) -> Vec<PixelSums> {
+        let width = tile.width() as usize;
+        (tile.y0..tile.y1)
+            .flat_map(|y| {
+                let start = self.index(tile.x0, y);
+                &self.sums[start..start + width]
+            })
+            .copied()
+            .collect()
     }
 
     /// Mean, variance of the mean, and count of the pixel (x, y) of the whole picture.
@@ -312,6 +363,11 @@ impl Film {
     fn index(&self, x: u32, y: u32) -> usize {
         (y - self.window.y0) as usize * self.window.width() as usize + (x - self.window.x0) as usize
     }
+}
+
+/// How many indices of disjoint ranges fall to each replicate.
+fn counts(samples: &[Range<u32>]) -> [u32; REPLICATES] {
+    samples.iter().map(replicate_counts).fold([0; REPLICATES], |a, b| std::array::from_fn(|r| a[r] + b[r]))
 }
 
 /// How many indices of a range fall to each replicate.

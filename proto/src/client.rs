@@ -2,7 +2,7 @@
 
 use crate::convert::{self, FilmParts, WireError};
 use crate::limits::{CALL_MS_MAX, CHUNK_BYTES, DIGESTS_MAX, MESSAGE_BYTES_MAX};
-use crate::transport::{ConnectError, Connector};
+use crate::transport::{ConnectError, Connector, Line};
 use crate::types::{JobId, JobSpec, Progress, WorkerStatus};
 use crate::version::Version;
 use crate::wire;
@@ -13,7 +13,6 @@ use std::sync::Arc;
 use std::time::Duration;
 use tilecast_core::film::Film;
 use tilecast_core::scene::{Digest, Scene, SceneBlobs};
-use tonic::transport::Channel;
 use tonic::{Request, Status, Streaming};
 
 /// Why a call did not succeed.
@@ -42,7 +41,7 @@ impl From<Status> for ClientError {
 /// A connection to a coordinator. Clones share it.
 #[derive(Clone, Debug)]
 pub struct Client {
-    rpc: JobsClient<Channel>,
+    rpc: JobsClient<Line>,
 }
 
 /// What an upload has sent.
@@ -159,7 +158,7 @@ impl Client {
         collect(self.rpc().list_workers(call(wire::ListWorkersRequest {})).await?.into_inner()).await
     }
 
-    fn rpc(&self) -> JobsClient<Channel> {
+    fn rpc(&self) -> JobsClient<Line> {
         self.rpc.clone()
     }
 }

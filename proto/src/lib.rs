@@ -7,10 +7,11 @@
 pub mod client;
 pub mod convert;
 pub mod limits;
-pub mod sums;
 pub mod transport;
 pub mod types;
 pub mod version;
+
+pub use tilecast_core::film::sums;
 
 /// What tonic and prost made of `render.proto`. Its documentation is there.
 #[allow(missing_docs, clippy::all, clippy::unwrap_used)]

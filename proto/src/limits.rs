@@ -75,6 +75,10 @@ pub const CONNECT_MS_MAX: u64 = 5000;
 pub const KEEP_ALIVE_MS: u64 = 5000;
 /// Events of a watched job are at least this far apart: ten a second are enough for eyes.
 pub const PROGRESS_INTERVAL_MS: u64 = 100;
+/// A stream of bulk on which nothing comes for so long is broken off, and what it had set aside is free again.
+pub const STREAM_IDLE_MS_MAX: u64 = 30_000;
+/// Headers of one call: ours are short.
+pub const HEADERS_BYTES_MAX: u32 = 16 << 10;
 /// Streams one connection may have at once: a worker's calls, a client's watches.
 pub const STREAMS_MAX: u32 = 256;
 

@@ -1,8 +1,8 @@
 //! How peers reach each other: TCP, or memory within one process. Both carry the same gRPC.
 
 use crate::limits::{
-    CONNECT_MS_MAX, CONNECTION_WINDOW_BYTES, FRAME_BYTES_MAX, KEEP_ALIVE_MS, MEMORY_BACKLOG, MEMORY_BUFFER_BYTES,
-    STREAM_WINDOW_BYTES, STREAMS_MAX,
+    CONNECT_MS_MAX, CONNECTION_WINDOW_BYTES, FRAME_BYTES_MAX, HEADERS_BYTES_MAX, KEEP_ALIVE_MS, MEMORY_BACKLOG,
+    MEMORY_BUFFER_BYTES, STREAM_WINDOW_BYTES, STREAMS_MAX,
 };
 use hyper_util::rt::TokioIo;
 use std::io;
@@ -12,14 +12,26 @@ use tokio::io::DuplexStream;
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::metadata::{Ascii, MetadataValue};
+use tonic::service::Interceptor;
+use tonic::service::interceptor::InterceptedService;
 use tonic::transport::server::TcpIncoming;
-use tonic::transport::{Channel, Endpoint, Server};
+use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity, Server};
+use tonic::{Request, Status};
+
+/// Certificates say roles by names in this domain, such as `worker.tilecast`.
+pub const ROLE_DOMAIN: &str = "tilecast";
+/// The name in every coordinator's certificate, whatever its address is.
+pub const COORDINATOR_NAME: &str = "coordinator.tilecast";
+
+/// A connection that shows a token with every call, if there is one.
+pub type Line = InterceptedService<Channel, Bearer>;
 
 /// A way to a coordinator that can be gone again and again.
 #[derive(Clone, Debug)]
 pub enum Connector {
     /// Over the network, or loopback.
-    Tcp(Box<Endpoint>),
+    Tcp(Box<Endpoint>, Bearer),
     /// To a coordinator in this process.
     Memory(Memory),
 }
@@ -30,6 +42,9 @@ pub enum ConnectError {
     /// An address that is none.
     #[error("`{0}` is no address; write HOST:PORT")]
     Address(String),
+    /// Certificates or tokens that are none.
+    #[error("the certificates or the token cannot be used: {0}")]
+    Credentials(String),
     /// Nobody answers there.
     #[error("no coordinator answers at {address}: {reason}")]
     Unreachable {
@@ -46,24 +61,78 @@ impl Connector {
     /// # Errors
     /// An address that cannot be read; nothing is connected yet.
     pub fn tcp(address: &str) -> Result<Self, ConnectError> {
-        let uri = if address.contains("://") { address.to_owned() } else { format!("http://{address}") };
-        let endpoint = Endpoint::from_shared(uri).map_err(|_| ConnectError::Address(address.to_owned()))?;
-        if endpoint.uri().port().is_none() {
-            return Err(ConnectError::Address(address.to_owned()));
+        Ok(Self::Tcp(Box::new(endpoint("http", address)?), Bearer::default()))
+    }
+
+    /// The way to `address` over TLS.
+    ///
+    /// # Errors
+    /// An address or credentials that cannot be read; nothing is connected yet.
+    pub fn secure(address: &str, credentials: &Credentials) -> Result<Self, ConnectError> {
+        let unusable = |e: &dyn std::error::Error| ConnectError::Credentials(innermost(e));
+        let mut tls = ClientTlsConfig::new()
+            .ca_certificate(Certificate::from_pem(&credentials.authority))
+            .domain_name(COORDINATOR_NAME)
+            .timeout(Duration::from_millis(CONNECT_MS_MAX));
+        if let Some((certificate, key)) = &credentials.identity {
+            tls = tls.identity(Identity::from_pem(certificate, key));
         }
-        Ok(Self::Tcp(Box::new(tuned(endpoint))))
+        let endpoint = endpoint("https", address)?.tls_config(tls).map_err(|e| unusable(&e))?;
+        let mut bearer = Bearer::default();
+        if let Some(token) = &credentials.token {
+            let mut value: MetadataValue<_> = format!("Bearer {token}").parse().map_err(|e| unusable(&e))?;
+            value.set_sensitive(true);
+            bearer.0 = Some(value);
+        }
+        Ok(Self::Tcp(Box::new(endpoint), bearer))
     }
 
     /// Connects.
     ///
     /// # Errors
     /// If nobody answers within [`CONNECT_MS_MAX`].
-    pub async fn connect(&self) -> Result<Channel, ConnectError> {
-        let (address, result) = match self {
-            Self::Tcp(endpoint) => (endpoint.uri().to_string(), endpoint.connect().await),
-            Self::Memory(memory) => ("memory".to_owned(), memory.connect().await),
+    pub async fn connect(&self) -> Result<Line, ConnectError> {
+        let (address, bearer, result) = match self {
+            Self::Tcp(endpoint, bearer) => (endpoint.uri().to_string(), bearer.clone(), endpoint.connect().await),
+            Self::Memory(memory) => ("memory".to_owned(), Bearer::default(), memory.connect().await),
         };
-        result.map_err(|e| ConnectError::Unreachable { address, reason: innermost(&e) })
+        result
+            .map(|channel| InterceptedService::new(channel, bearer))
+            .map_err(|e| ConnectError::Unreachable { address, reason: innermost(&e) })
+    }
+}
+
+fn endpoint(scheme: &str, address: &str) -> Result<Endpoint, ConnectError> {
+    let unreadable = || ConnectError::Address(address.to_owned());
+    let uri = if address.contains("://") { address.to_owned() } else { format!("{scheme}://{address}") };
+    let endpoint = Endpoint::from_shared(uri).map_err(|_| unreadable())?;
+    if endpoint.uri().port().is_none() || endpoint.uri().scheme_str() != Some(scheme) {
+        return Err(unreadable());
+    }
+    Ok(tuned(endpoint))
+}
+
+/// What proves who one is.
+#[derive(Clone)]
+pub struct Credentials {
+    /// Certificate of the authority that the coordinator's must be of, PEM.
+    pub authority: Vec<u8>,
+    /// One's own certificate and key, PEM.
+    pub identity: Option<(Vec<u8>, Vec<u8>)>,
+    /// A token instead.
+    pub token: Option<String>,
+}
+
+/// The token to show, if any. Shown over TLS alone, and in no log.
+#[derive(Clone, Debug, Default)]
+pub struct Bearer(Option<MetadataValue<Ascii>>);
+
+impl Interceptor for Bearer {
+    fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
+        if let Some(token) = &self.0 {
+            request.metadata_mut().insert("authorization", token.clone());
+        }
+        Ok(request)
     }
 }
 
@@ -118,6 +187,7 @@ pub fn server() -> Server {
         .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
         .max_frame_size(FRAME_BYTES_MAX)
         .max_concurrent_streams(STREAMS_MAX)
+        .http2_max_header_list_size(HEADERS_BYTES_MAX)
         .http2_keepalive_interval(Some(Duration::from_millis(KEEP_ALIVE_MS)))
 }
 

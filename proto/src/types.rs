@@ -61,6 +61,8 @@ pub struct WorkerInfo {
     pub pid: u32,
     /// What people call it; may be empty.
     pub name: String,
+    /// Drawn at random when its process began; never 0.
+    pub instance: u64,
 }
 
 /// The answer to a registration.
@@ -175,6 +177,15 @@ pub struct Heartbeat {
 pub struct HeartbeatReply {
     /// Leases to stop working on.
     pub drop: Vec<Fence>,
+}
+
+/// A worker goes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Leave {
+    /// Which.
+    pub worker: WorkerId,
+    /// Leases that it will bring yet; without any, it is gone.
+    pub keep: Vec<Fence>,
 }
 
 /// A job to be done.

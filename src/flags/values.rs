@@ -1,6 +1,7 @@
 //! The values of flags: each read from text once, refused with what would be right.
 
 use clap::ValueEnum;
+use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, SamplerKind, Strategy, Window, Without};
 
@@ -152,4 +153,27 @@ pub fn isa(name: &str) -> Result<Isa, String> {
         Some(_) => Err(format!("this processor has {} only", names(&Isa::available()))),
         None => Err(format!("'{name}' is none of {}", names(&Isa::ALL))),
     }
+}
+
+/// A share, from 0 to 1.
+pub fn share(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(share) if (0.0..=1.0).contains(&share) => Ok(share),
+        _ => Err("write a share from 0 to 1, as in 0.05".into()),
+    }
+}
+
+/// A time: a number of seconds, or with a unit.
+pub fn time(text: &str) -> Result<Duration, String> {
+    let split = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(split);
+    let seconds = match unit {
+        "" | "s" => Some(1),
+        "m" => Some(60),
+        "h" => Some(3600),
+        "d" => Some(86_400),
+        _ => None,
+    };
+    let product = seconds.and_then(|seconds: u64| number.parse::<u64>().ok()?.checked_mul(seconds));
+    product.filter(|&s| s > 0).map(Duration::from_secs).ok_or("write a time as in 90s, 30m, 4h or 2d".into())
 }

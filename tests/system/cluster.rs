@@ -3,7 +3,8 @@
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use tilecast_coordinator::Config;
+use std::time::Duration;
+use tilecast_coordinator::{Config, RunError};
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::{Film, scale_exponent};
 use tilecast_core::scene::{
@@ -63,7 +64,7 @@ fn scene() -> Scene {
     scene
 }
 
-fn settings() -> Settings {
+pub fn settings() -> Settings {
     let (width, height) = (70, 50);
     Settings {
         film: FilmSettings {
@@ -82,7 +83,7 @@ fn settings() -> Settings {
     }
 }
 
-fn job() -> JobSpec {
+pub fn job() -> JobSpec {
     JobSpec {
         scene: scene().blobs().digest,
         settings: settings(),
@@ -92,18 +93,38 @@ fn job() -> JobSpec {
     }
 }
 
+pub fn tracer() -> Arc<Tracer> {
+    Arc::new(Tracer::new(Arc::new(World::compile(&scene())), settings(), Isa::Portable).unwrap())
+}
+
+/// A coordinator in memory, and a client of it.
+pub struct Fixture {
+    pub memory: Memory,
+    pub client: Client,
+    pub _coordinator: Running<RunError>,
+}
+
+impl Fixture {
+    /// One that checks this share of its workers' units.
+    pub async fn verifying(verify: f64) -> Self {
+        let memory = Memory::default();
+        let _coordinator = coordinator_with(&memory, Config { verify, ..Config::default() });
+        let client = connect(&memory).await;
+        Self { memory, client, _coordinator }
+    }
+}
+
 /// The film without any cluster.
-fn direct() -> Digest {
+pub fn direct() -> Digest {
     let settings = settings();
-    let tracer = Tracer::new(Arc::new(World::compile(&scene())), settings.clone(), Isa::Portable).unwrap();
-    let sums = tracer.trace(settings.film.crop, 0..settings.spp, &AtomicBool::new(false)).unwrap().unwrap();
+    let sums = tracer().trace(settings.film.crop, 0..settings.spp, &AtomicBool::new(false)).unwrap().unwrap();
     let mut film = Film::new(&settings);
     film.merge(&sums);
     film.digest()
 }
 
 /// Something that runs until it is told to stop.
-struct Running<E> {
+pub struct Running<E> {
     stop: oneshot::Sender<()>,
     task: JoinHandle<Result<(), E>>,
 }
@@ -115,17 +136,22 @@ impl<E: std::fmt::Debug> Running<E> {
     }
 }
 
-fn coordinator(memory: &Memory, incarnation: u32) -> Running<tonic::transport::Error> {
+fn coordinator(memory: &Memory, incarnation: u32) -> Running<RunError> {
+    coordinator_with(memory, Config { incarnation, ..Config::default() })
+}
+
+fn coordinator_with(memory: &Memory, config: Config) -> Running<RunError> {
     let incoming = memory.listen();
     let (stop, stopped) = oneshot::channel::<()>();
     let shutdown = async { _ = stopped.await };
-    let task = tokio::spawn(tilecast_coordinator::run(incoming, Config { incarnation, ..Config::default() }, shutdown));
+    let task = tokio::spawn(tilecast_coordinator::run(incoming, config, shutdown));
     Running { stop, task }
 }
 
 fn worker(connector: Connector, scenes: SceneCache) -> Running<WorkerError> {
     let (stop, stopped) = oneshot::channel::<()>();
-    let config = WorkerConfig { threads: 1, isa: Isa::detect(), name: "w".into(), host: "here".into() };
+    let config =
+        WorkerConfig { threads: 1, isa: Isa::detect(), name: "w".into(), host: "here".into(), drain: Duration::ZERO };
     let shutdown = async { _ = stopped.await };
     Running { stop, task: tokio::spawn(tilecast_worker::run(connector, config, Arc::new(scenes), shutdown)) }
 }
@@ -138,7 +164,7 @@ async fn connect(memory: &Memory) -> Client {
     Client::connect(&Connector::Memory(memory.clone())).await.unwrap()
 }
 
-async fn submit(client: &Client) -> JobId {
+pub async fn submit(client: &Client) -> JobId {
     let scene = Arc::new(scene());
     client.upload(&scene, &scene.blobs()).await.unwrap();
     client.submit(job()).await.unwrap()
@@ -154,7 +180,7 @@ async fn last(client: &Client, job: JobId) -> Progress {
     last.unwrap()
 }
 
-async fn finish(client: &Client, job: JobId) -> Digest {
+pub async fn finish(client: &Client, job: JobId) -> Digest {
     let progress = last(client, job).await;
     assert_eq!(progress.state, JobState::Finished);
     assert_eq!(progress.samples_done, 67 * 50 * 96);
@@ -225,7 +251,7 @@ async fn a_second_job_of_the_scene_uploads_nothing() {
     assert_eq!(listed, jobs);
 }
 
-async fn raw(memory: &Memory) -> WorkClient<tonic::transport::Channel> {
+async fn raw(memory: &Memory) -> WorkClient<tilecast_proto::transport::Line> {
     WorkClient::new(Connector::Memory(memory.clone()).connect().await.unwrap())
 }
 
@@ -236,6 +262,7 @@ fn hello() -> wire::Hello {
         host: String::new(),
         pid: 0,
         name: String::new(),
+        instance: 5,
     }
     .into()
 }

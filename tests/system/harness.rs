@@ -221,7 +221,18 @@ pub struct Coordinator {
 
 /// Starts one on a free port.
 pub fn coordinator(folder: &Folder) -> Coordinator {
-    let mut process = folder.start(["coordinator", "--listen", "127.0.0.1:0", "--json"]);
+    coordinator_with(folder, &["--listen", "127.0.0.1:0"])
+}
+
+/// An address that nobody listens on, for a coordinator that is started there again and again.
+pub fn free_address() -> String {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    listener.local_addr().expect("an address").to_string()
+}
+
+/// Starts one with these flags.
+pub fn coordinator_with(folder: &Folder, flags: &[&str]) -> Coordinator {
+    let mut process = folder.start(["coordinator", "--json"].into_iter().chain(flags.iter().copied()));
     let address = process.event("listening")["address"].as_str().expect("an address").to_owned();
     Coordinator { address, process }
 }

@@ -4,6 +4,8 @@
 //!
 //! One binary, so that the program is linked once. Its modules are the guide:
 
+/// Who is let in, and how far.
+mod access;
 /// Files, flags and peers that are wrong: each a clear message, the right exit code, and nothing left behind.
 mod bad_input;
 /// What the program says and how it ends: JSON, exit codes, signals, jobs and workers from outside.
@@ -18,5 +20,12 @@ mod compare;
 mod digest;
 /// What is in the written files.
 mod exr;
+/// Real processes killed, stopped and drained at random.
+mod faults;
+/// Peers that waste what they can get.
+mod flood;
 /// Processes and folders that are gone when a test is, however it ends.
 mod harness;
+/// Workers that bring wrong sums on purpose.
+#[cfg(test)]
+mod liars;

@@ -1,12 +1,12 @@
 //! What a worker has on its bench: the units it holds, from lease to verdict. It outlives sessions, so that what was traced
 //! while the coordinator was away can be offered again. No calls here, and no clock.
 
-use crate::pool::{Pool, Ticket, Traced};
+use crate::pool::{Flags, Pool, Ticket, Traced};
 use crate::scenes::SceneCache;
 use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::scene::Digest;
 use tilecast_core::trace::Tracer;
@@ -36,7 +36,7 @@ struct Held {
     key: Digest,
     /// Leased in the session that goes on.
     current: bool,
-    stop: Arc<AtomicBool>,
+    flags: Arc<Flags>,
     stage: Stage,
 }
 
@@ -93,8 +93,8 @@ impl Bench {
         let Lease { fence, unit } = lease;
         let ticket = self.next_ticket;
         self.next_ticket += 1;
-        let stop = Arc::new(AtomicBool::new(false));
-        self.held.insert(ticket, Held { fence, unit, key, current: true, stop, stage: Stage::Waiting });
+        let flags = Arc::default();
+        self.held.insert(ticket, Held { fence, unit, key, current: true, flags, stage: Stage::Waiting });
         if let Some(tracer) = tracer {
             self.start(ticket, tracer);
         }
@@ -110,7 +110,7 @@ impl Bench {
     fn start(&mut self, ticket: Ticket, tracer: &Arc<Tracer>) {
         if let Some(held) = self.held.get_mut(&ticket) {
             held.stage = Stage::Tracing;
-            self.pool.trace(ticket, Arc::clone(tracer), held.unit.clone(), Arc::clone(&held.stop));
+            self.pool.trace(ticket, Arc::clone(tracer), held.unit.clone(), Arc::clone(&held.flags));
         }
     }
 
@@ -176,6 +176,20 @@ impl Bench {
         self.held.values().any(|held| held.current && held.unit.job == job)
     }
 
+    /// Lets go of what no thread has begun.
+    pub fn drop_unbegun(&mut self) {
+        self.let_go(|held| match held.stage {
+            Stage::Waiting => true,
+            Stage::Tracing => !held.flags.begun.load(Ordering::Relaxed),
+            Stage::Traced(..) | Stage::Sending(..) => false,
+        });
+    }
+
+    /// Whether there is nothing to bring, now or later.
+    pub fn is_empty(&self) -> bool {
+        self.held.is_empty()
+    }
+
     /// Stops everything.
     pub fn clear(&mut self) {
         self.let_go(|_| true);
@@ -185,7 +199,7 @@ impl Bench {
         self.held.retain(|_, held| {
             let goes = which(held);
             if goes {
-                held.stop.store(true, Ordering::Relaxed);
+                held.flags.stop.store(true, Ordering::Relaxed);
             }
             !goes
         });

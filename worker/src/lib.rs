@@ -14,6 +14,7 @@ use bench::Bench;
 use pool::Pool;
 use scenes::SceneCache;
 use session::{End, Session};
+use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
@@ -47,9 +48,11 @@ pub struct WorkerConfig {
     pub name: String,
     /// Its machine, for people.
     pub host: String,
+    /// How long it may finish what it has begun, when it is told to end; the rest it hands back at once.
+    pub drain: Duration,
 }
 
-/// Works until `shutdown` ends, then gives back what it has not done. A coordinator that is gone or restarts is tried again,
+/// Works until `shutdown` ends, then gives back what it has not begun, and brings what it has. A coordinator that is gone or restarts is tried again,
 /// for ever; results computed meanwhile are offered again. `scenes` may hold scenes already: those are not fetched.
 ///
 /// # Errors
@@ -60,12 +63,19 @@ pub async fn run(
     scenes: Arc<SceneCache>,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), WorkerError> {
-    let WorkerConfig { threads, isa, name, host } = config;
+    let WorkerConfig { threads, isa, name, host, drain } = config;
     let (pool, mut traced) = Pool::new(threads as usize)?;
     let mut bench = Bench::new(pool, scenes, isa);
-    let info = WorkerInfo { threads, isa: isa.name().to_owned(), host, pid: std::process::id(), name };
-    let backoff =
-        || ExponentialBuilder::default().with_min_delay(RETRY_MIN).with_max_delay(RETRY_MAX).without_max_times();
+    // The number of this worker over all its sessions: random, so that none is another's.
+    let instance = RandomState::new().hash_one(std::process::id()).max(1);
+    let info = WorkerInfo { threads, isa: isa.name().to_owned(), host, pid: std::process::id(), name, instance };
+    let backoff = || {
+        ExponentialBuilder::default()
+            .with_min_delay(RETRY_MIN)
+            .with_max_delay(RETRY_MAX)
+            .with_jitter()
+            .without_max_times()
+    };
     let mut delays = backoff().build();
     tokio::pin!(shutdown);
     loop {
@@ -76,7 +86,7 @@ pub async fn run(
         let end = match session {
             Ok(session) => {
                 delays = backoff().build();
-                session.work(&mut bench, &mut traced, shutdown.as_mut()).await
+                session.work(&mut bench, &mut traced, (shutdown.as_mut(), drain)).await
             }
             Err(end) => end,
         };

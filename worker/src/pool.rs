@@ -20,6 +20,15 @@ pub(crate) struct Pool {
 /// Names a unit within this process.
 pub(crate) type Ticket = u64;
 
+/// What a unit in the pool is told, and tells.
+#[derive(Debug, Default)]
+pub(crate) struct Flags {
+    /// Nobody wants it any more.
+    pub stop: AtomicBool,
+    /// A thread has taken it up.
+    pub begun: AtomicBool,
+}
+
 /// A unit that left the pool.
 #[derive(Debug)]
 pub(crate) struct Traced {
@@ -38,10 +47,11 @@ impl Pool {
     }
 
     /// Traces a unit when a thread is free.
-    pub fn trace(&self, ticket: Ticket, tracer: Arc<Tracer>, unit: Unit, stop: Arc<AtomicBool>) {
+    pub fn trace(&self, ticket: Ticket, tracer: Arc<Tracer>, unit: Unit, flags: Arc<Flags>) {
         let results = self.results.clone();
         self.threads.spawn_fifo(move || {
-            let result = catch_unwind(AssertUnwindSafe(|| trace(&tracer, &unit, &stop)));
+            flags.begun.store(true, Ordering::Relaxed);
+            let result = catch_unwind(AssertUnwindSafe(|| trace(&tracer, &unit, &flags.stop)));
             let result = result.unwrap_or_else(|panic| {
                 let Unit { tile, samples, .. } = &unit;
                 let text = panic_text(panic.as_ref());

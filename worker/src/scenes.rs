@@ -13,11 +13,11 @@ use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
 use tilecast_proto::convert::digest_bytes;
 use tilecast_proto::limits::BLOB_BYTES_MAX;
+use tilecast_proto::transport::Line;
 use tilecast_proto::types::JobWork;
 use tilecast_proto::wire::BlobRequest;
 use tilecast_proto::wire::work_client::WorkClient;
 use tokio::task::JoinSet;
-use tonic::transport::Channel;
 
 /// Scenes kept: the one that is rendered, and a few that may come again.
 const SCENES_MAX: usize = 4;
@@ -105,7 +105,7 @@ impl SceneCache {
 pub(crate) async fn prepare(
     cache: Arc<SceneCache>,
     pool: Arc<Pool>,
-    work: WorkClient<Channel>,
+    work: WorkClient<Line>,
     JobWork { scene, settings, .. }: JobWork,
     isa: Isa,
 ) -> Result<Arc<Tracer>, PrepareError> {
@@ -118,7 +118,7 @@ pub(crate) async fn prepare(
 async fn world(
     cache: Arc<SceneCache>,
     pool: &Pool,
-    work: WorkClient<Channel>,
+    work: WorkClient<Line>,
     digest: Digest,
 ) -> Result<Arc<World>, PrepareError> {
     if let Some(world) = cache.get(&digest) {
@@ -151,7 +151,7 @@ fn compile(
 }
 
 async fn fetch_all(
-    work: &WorkClient<Channel>,
+    work: &WorkClient<Line>,
     digests: Vec<Digest>,
     into: &mut HashMap<Digest, Arc<[u8]>>,
 ) -> Result<(), PrepareError> {
@@ -173,7 +173,7 @@ async fn fetch_all(
 }
 
 /// A blob's bytes, checked. Memory grows with what comes, up to the limit; a chunk is hashed in well under a millisecond.
-async fn fetch(mut work: WorkClient<Channel>, digest: Digest) -> Result<Arc<[u8]>, PrepareError> {
+async fn fetch(mut work: WorkClient<Line>, digest: Digest) -> Result<Arc<[u8]>, PrepareError> {
     let failed = |status| PrepareError::Fetch { digest, status: Box::new(status) };
     let request = BlobRequest { digest: digest_bytes(&digest) };
     let mut stream = work.get_blob(request).await.map_err(failed)?.into_inner();

@@ -17,9 +17,9 @@ use tilecast_core::trace::Tracer;
 use tilecast_proto::client::{call, chunks};
 use tilecast_proto::convert::{WireError, work_key};
 use tilecast_proto::limits::{KNOWN_JOBS_MAX, MESSAGE_BYTES_MAX};
-use tilecast_proto::transport::Connector;
+use tilecast_proto::transport::{Connector, Line};
 use tilecast_proto::types::{
-    Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, LeaseReply, LeaseRequest, ResultHeader, Verdict,
+    Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, LeaseReply, LeaseRequest, Leave, ResultHeader, Verdict,
     Welcome, WorkerId, WorkerInfo,
 };
 use tilecast_proto::wire;
@@ -27,7 +27,6 @@ use tilecast_proto::wire::work_client::WorkClient;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tonic::transport::Channel;
 use tonic::{Code, Request, Status};
 
 /// Jobs remembered without holding a unit of them: each keeps its compiled scene in memory.
@@ -52,7 +51,7 @@ pub(crate) enum End {
 
 /// See the module.
 pub(crate) struct Session {
-    work: WorkClient<Channel>,
+    work: WorkClient<Line>,
     worker: WorkerId,
     threads: u32,
     heartbeat: Duration,
@@ -61,6 +60,8 @@ pub(crate) struct Session {
     unprepared: VecDeque<JobId>,
     calls: JoinSet<Event>,
     leasing: bool,
+    /// It was told to end: no more work is asked for.
+    draining: bool,
     preparing: bool,
     submitting: usize,
 }
@@ -101,6 +102,7 @@ impl Session {
             unprepared: VecDeque::new(),
             calls: JoinSet::new(),
             leasing: false,
+            draining: false,
             preparing: false,
             submitting: 0,
         })
@@ -111,12 +113,17 @@ impl Session {
         mut self,
         bench: &mut Bench,
         traced: &mut mpsc::UnboundedReceiver<Traced>,
-        mut shutdown: Pin<&mut impl Future<Output = ()>>,
+        (mut shutdown, drain): (Pin<&mut impl Future<Output = ()>>, Duration),
     ) -> End {
         bench.begin_session();
         let mut beats = tokio::time::interval(self.heartbeat);
         beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut patience = std::pin::pin!(tokio::time::sleep(Duration::MAX));
         loop {
+            if self.draining && bench.is_empty() {
+                self.leave().await;
+                return End::Shutdown;
+            }
             self.start_calls(bench);
             tokio::select! {
                 Some(unit) = traced.recv() => self.traced(bench, unit),
@@ -125,16 +132,21 @@ impl Session {
                         Ok(event) => self.handle(bench, event),
                         Err(panic) => Err(End::Lost(panic.to_string())),
                     };
-                    if let Err(end) = handled {
-                        return end;
+                    match handled {
+                        // Nobody to bring anything to, and no time to wait for someone.
+                        Err(End::Lost(_)) if self.draining => return End::Shutdown,
+                        Err(end) => return end,
+                        Ok(()) => {}
                     }
                 }
                 _ = beats.tick() => self.beat(bench),
-                () = &mut shutdown => {
-                    bench.clear();
-                    self.leave().await;
-                    return End::Shutdown;
+                () = &mut shutdown, if !self.draining => {
+                    self.draining = true;
+                    patience.set(tokio::time::sleep(drain));
+                    bench.drop_unbegun();
+                    self.hand_back(bench);
                 }
+                () = &mut patience, if self.draining => bench.clear(),
             }
         }
     }
@@ -142,7 +154,7 @@ impl Session {
     /// Starts the calls that are due.
     fn start_calls(&mut self, bench: &mut Bench) {
         let slots = bench.free_slots(self.threads);
-        if !self.leasing && slots > 0 {
+        if !self.leasing && !self.draining && slots > 0 {
             self.leasing = true;
             let known_jobs = self.jobs.keys().copied().take(KNOWN_JOBS_MAX).collect();
             let request = LeaseRequest { worker: self.worker, slots, known_jobs };
@@ -198,6 +210,11 @@ impl Session {
     }
 
     fn leased(&mut self, bench: &mut Bench, reply: LeaseReply) {
+        if self.draining {
+            // They came too late; the next heartbeat does not name them, but sooner is better.
+            self.hand_back(bench);
+            return;
+        }
         if reply.leases.is_empty() {
             return;
         }
@@ -263,20 +280,32 @@ impl Session {
         });
     }
 
+    /// Gives back the leases that it does not hold any more.
+    fn hand_back(&mut self, bench: &Bench) {
+        let keep = bench.fences();
+        if keep.is_empty() {
+            // That would be the end of the session; results of the one before may be on their way.
+            return;
+        }
+        let request = wire::LeaveRequest::from(Leave { worker: self.worker, keep });
+        let mut work = self.work.clone();
+        self.calls.spawn(async move { Event::Reported(work.leave(call(request)).await.map(|_| ())) });
+    }
+
     async fn leave(&mut self) {
-        let mut request = Request::new(wire::LeaveRequest { worker: self.worker.0 });
+        let mut request = Request::new(wire::LeaveRequest { worker: self.worker.0, keep: Vec::new() });
         request.set_timeout(LEAVE_TIMEOUT);
         // If it does not arrive, the leases lapse.
         let _ = self.work.leave(request).await;
     }
 }
 
-async fn lease(mut work: WorkClient<Channel>, request: LeaseRequest) -> Event {
+async fn lease(mut work: WorkClient<Line>, request: LeaseRequest) -> Event {
     let reply = work.lease(call(wire::LeaseRequest::from(request))).await;
     Event::Leased(reply.and_then(|reply| Ok(reply.into_inner().try_into()?)))
 }
 
-async fn submit(mut work: WorkClient<Channel>, ticket: Ticket, header: ResultHeader, bytes: Bytes) -> Event {
+async fn submit(mut work: WorkClient<Line>, ticket: Ticket, header: ResultHeader, bytes: Bytes) -> Event {
     let job = header.unit.job;
     let mut head = Some(wire::ResultHeader::from(header));
     let stream = chunks(bytes).map(move |data| wire::ResultChunk { header: head.take(), data });
@@ -289,9 +318,11 @@ async fn submit(mut work: WorkClient<Channel>, ticket: Ticket, header: ResultHea
 /// What a failed call means for the session.
 fn end(status: Status) -> End {
     match status.code() {
-        Code::FailedPrecondition | Code::InvalidArgument | Code::Unimplemented => {
-            End::Refused(status.message().to_owned())
-        }
+        Code::FailedPrecondition
+        | Code::InvalidArgument
+        | Code::Unimplemented
+        | Code::PermissionDenied
+        | Code::Unauthenticated => End::Refused(status.message().to_owned()),
         _ => End::Lost(status.message().to_owned()),
     }
 }

@@ -4,18 +4,22 @@
 //! the same thing. What is counted is remembered as ranges, which grow together: the account stays small however many units
 //! there were.
 
-use super::ranges::Ranges;
+use super::audit::Audits;
 use crate::plan::Plan;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::REPLICATES;
 use tilecast_core::film::RelativeError;
+use tilecast_core::film::ranges::Ranges;
 use tilecast_core::scene::Digest;
 use tilecast_proto::types::{Fence, JobSpec, JobState, Unit, Verdict, WorkerId};
 
+/// Times of so many units say what is usual.
+const TIMES_KEPT: usize = 64;
+
 /// A unit within its job: tile number and first sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(super) struct UnitKey {
     pub tile: u32,
     pub start: u32,
@@ -25,14 +29,23 @@ pub(super) struct UnitKey {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Open {
     pub end: u32,
-    /// Who works on it; `None` while it waits in `returned`.
-    pub lease: Option<(WorkerId, Fence)>,
+    /// Who works on it: nobody while it waits in `returned` or is set aside, two while it is duplicated.
+    pub leases: Vec<(WorkerId, Fence)>,
+    /// Since when the first of them has it.
+    pub since: Duration,
     /// How often the tracer panicked on it.
     pub panics: u32,
-    /// How often whoever held it fell silent.
+    /// How often whoever held it fell silent, as far as it is to blame.
     pub losses: u32,
     /// Who failed last: someone else should try.
     pub avoid: Option<WorkerId>,
+}
+
+impl Open {
+    /// It may have killed workers: whoever takes it takes no other such unit beside it.
+    pub fn suspect(&self) -> bool {
+        self.losses > 1
+    }
 }
 
 /// Where the next unit is cut: rounds one after another, in each the tiles in their order.
@@ -41,13 +54,15 @@ struct Cursor {
     round: usize,
     /// Into `Plan::order`.
     place: usize,
-    /// Samples of that tile and round that are cut already.
-    cut: u32,
+    /// Samples of that tile and round that are behind the cursor already.
+    passed: u32,
 }
 
 #[derive(Debug)]
 pub(super) struct Job {
     pub spec: JobSpec,
+    /// Who may cancel it; anybody if `None`.
+    pub owner: Option<Digest>,
     /// What results must name, see [`tilecast_proto::convert::work_key`].
     pub key: Digest,
     pub state: JobState,
@@ -58,6 +73,11 @@ pub(super) struct Job {
     pub open: HashMap<UnitKey, Open>,
     /// Units given back and not lent again; entries whose unit is counted meanwhile are skipped.
     pub returned: VecDeque<UnitKey>,
+    /// Units that nobody gets any more, and why.
+    pub quarantined: HashMap<UnitKey, String>,
+    /// Units that take unusually long: an idle worker may have them too.
+    pub overdue: VecDeque<UnitKey>,
+    pub audits: Audits,
     pub samples_done: u64,
     pub samples_cut: u64,
     pub samples_total: u64,
@@ -65,6 +85,8 @@ pub(super) struct Job {
     pub merging: u32,
     /// Samples a second on one thread, by worker.
     pub rates: HashMap<WorkerId, f64>,
+    /// From lease to result, of the last units.
+    times: VecDeque<Duration>,
     /// Workers that cannot prepare its scene.
     pub barred: HashSet<WorkerId>,
     pub relative_error: Option<RelativeError>,
@@ -74,9 +96,10 @@ pub(super) struct Job {
 }
 
 impl Job {
-    pub fn new(now: Duration, spec: JobSpec, key: Digest, plan: Plan) -> Self {
+    pub fn new(now: Duration, spec: JobSpec, owner: Option<Digest>, key: Digest, plan: Plan) -> Self {
         let samples_total = spec.settings.film.crop.area() * u64::from(spec.settings.spp);
         Self {
+            owner,
             key,
             state: JobState::Queued,
             cursor: Cursor::default(),
@@ -84,11 +107,15 @@ impl Job {
             plan,
             open: HashMap::new(),
             returned: VecDeque::new(),
+            quarantined: HashMap::new(),
+            overdue: VecDeque::new(),
+            audits: Audits::default(),
             samples_done: 0,
             samples_cut: 0,
             samples_total,
             merging: 0,
             rates: HashMap::new(),
+            times: VecDeque::new(),
             barred: HashSet::new(),
             relative_error: None,
             queued_at: now,
@@ -98,12 +125,27 @@ impl Job {
         }
     }
 
+    /// Counts what was counted before the coordinator was started again, by tile number.
+    pub fn restore(&mut self, done: Vec<Ranges>) {
+        let counted = |(tile, ranges): (usize, &Ranges)| self.plan.tile(tile as u32).area() * ranges.count();
+        self.samples_done = done.iter().enumerate().map(counted).sum();
+        self.samples_cut = self.samples_done;
+        self.done = done;
+        if self.samples_done > 0 {
+            self.state = JobState::Running;
+        }
+    }
+
     /// A unit that was given back, for this worker; `alone` if no other worker could take it.
     pub fn take_returned(&mut self, worker: WorkerId, alone: bool) -> Option<UnitKey> {
+        let holds_one = |open: &HashMap<UnitKey, Open>| {
+            open.values().any(|o| o.suspect() && o.leases.iter().any(|(holder, _)| *holder == worker))
+        };
         for _ in 0..self.returned.len() {
             let key = self.returned.pop_front()?;
             match self.open.get(&key) {
                 Some(open) if open.avoid == Some(worker) && !alone => self.returned.push_back(key),
+                Some(open) if open.suspect() && holds_one(&self.open) => self.returned.push_back(key),
                 Some(_) => return Some(key),
                 None => {}
             }
@@ -113,29 +155,70 @@ impl Job {
 
     /// Cuts the next unit, of about `samples` samples; `None` when everything is cut.
     pub fn cut(&mut self, samples: u64) -> Option<UnitKey> {
-        let round = self.plan.rounds.get(self.cursor.round)?.clone();
-        let tile = self.plan.order[self.cursor.place];
-        let area = self.plan.tile(tile).area();
-        let start = round.start + self.cursor.cut;
-        let left = round.end - start;
-        // Whole sets of replicates, and no small remainder that would be a unit of its own.
-        let replicates = REPLICATES as u64;
-        let wanted = (samples / area / replicates).max(1) * replicates;
-        let count = if u64::from(left) * 2 < wanted * 3 { left } else { wanted as u32 };
-        if count < left {
-            self.cursor.cut += count;
-        } else {
-            self.cursor.cut = 0;
-            self.cursor.place += 1;
-            if self.cursor.place == self.plan.order.len() {
-                self.cursor.place = 0;
-                self.cursor.round += 1;
+        loop {
+            let round = self.plan.rounds.get(self.cursor.round)?.clone();
+            let tile = self.plan.order[self.cursor.place];
+            // Results that came uncut, or before a restart, are gaps in what is left.
+            let gap = self.done[tile as usize].gap(round.start + self.cursor.passed, round.end);
+            if gap.is_empty() {
+                self.next_tile();
+                continue;
+            }
+            let area = self.plan.tile(tile).area();
+            let left = gap.end - gap.start;
+            // Whole sets of replicates, and no small remainder that would be a unit of its own.
+            let replicates = REPLICATES as u64;
+            let wanted = (samples / area / replicates).max(1) * replicates;
+            let count = if u64::from(left) * 2 < wanted * 3 { left } else { wanted as u32 };
+            self.cursor.passed = gap.start + count - round.start;
+            if gap.start + count == round.end {
+                self.next_tile();
+            }
+            self.samples_cut += area * u64::from(count);
+            let key = UnitKey { tile, start: gap.start };
+            self.open.insert(key, Open { end: gap.start + count, ..Open::default() });
+            return Some(key);
+        }
+    }
+
+    fn next_tile(&mut self) {
+        self.cursor.passed = 0;
+        self.cursor.place += 1;
+        if self.cursor.place == self.plan.order.len() {
+            self.cursor.place = 0;
+            self.cursor.round += 1;
+        }
+    }
+
+    /// A unit that takes unusually long, for an idle worker that does not have it.
+    pub fn take_overdue(&mut self, worker: WorkerId) -> Option<UnitKey> {
+        for _ in 0..self.overdue.len() {
+            let key = self.overdue.pop_front()?;
+            match self.open.get(&key) {
+                Some(open) if open.leases.len() != 1 => {}
+                Some(open) if open.leases[0].0 == worker || open.avoid == Some(worker) => self.overdue.push_back(key),
+                Some(_) => return Some(key),
+                None => {}
             }
         }
-        self.samples_cut += area * u64::from(count);
-        let key = UnitKey { tile, start };
-        self.open.insert(key, Open { end: start + count, ..Open::default() });
-        Some(key)
+        None
+    }
+
+    /// Looks for units that take more than `factor` times what is usual, once all are cut; whether there are any.
+    pub fn find_overdue(&mut self, now: Duration, factor: f64) -> bool {
+        self.overdue.clear();
+        if self.samples_cut < self.samples_total || !self.returned.is_empty() || self.times.is_empty() {
+            return false;
+        }
+        let mut times: Vec<Duration> = self.times.iter().copied().collect();
+        times.sort_unstable();
+        let limit = times[times.len() / 2].mul_f64(factor);
+        let late = |open: &Open| open.leases.len() == 1 && open.since + limit < now && !open.suspect();
+        let mut found: Vec<(Duration, UnitKey)> =
+            self.open.iter().filter(|(_, open)| late(open)).map(|(&key, open)| (open.since, key)).collect();
+        found.sort_unstable();
+        self.overdue.extend(found.into_iter().map(|(_, key)| key));
+        !self.overdue.is_empty()
     }
 
     /// Samples of a full tile with one index for each replicate: nothing smaller is worth a message.
@@ -156,19 +239,56 @@ impl Job {
             Verdict::Accepted
         } else if self.done[tile as usize].contains(&unit.samples) {
             Verdict::Duplicate
+        } else if unit.samples.end <= self.spec.settings.spp && self.is_uncut(tile, &unit.samples) {
+            // Cut by this coordinator before it was started again.
+            Verdict::Accepted
         } else {
             Verdict::Stale
         }
     }
 
-    /// Counts a unit whose verdict is [`Verdict::Accepted`], and says who else had it.
-    pub fn count(&mut self, unit: &Unit) -> Option<Open> {
-        let tile = self.plan.index_of(&unit.tile)?;
-        let open = self.open.remove(&UnitKey { tile, start: unit.samples.start })?;
+    /// Whether no unit that is counted or open has any of these samples.
+    fn is_uncut(&self, tile: u32, samples: &Range<u32>) -> bool {
+        let meets =
+            |(key, open): (&UnitKey, &Open)| key.tile == tile && key.start < samples.end && samples.start < open.end;
+        !self.done[tile as usize].overlaps(samples) && !self.open.iter().any(meets)
+    }
+
+    /// Whether this can be a unit of this job at all, however it was cut.
+    pub fn plausible(&self, unit: &Unit) -> bool {
+        // The tiles of an ended job are not known any more.
+        self.state.is_final()
+            || (self.plan.index_of(&unit.tile).is_some() && unit.samples.end <= self.spec.settings.spp)
+    }
+
+    /// Counts a unit whose verdict is [`Verdict::Accepted`], and says who had it.
+    pub fn count(&mut self, now: Duration, unit: &Unit) -> Open {
+        let Some(tile) = self.plan.index_of(&unit.tile) else { return Open::default() };
+        let key = UnitKey { tile, start: unit.samples.start };
+        let open = self.open.remove(&key).unwrap_or_else(|| {
+            self.samples_cut += unit.len();
+            Open::default()
+        });
+        self.quarantined.remove(&key);
+        if !open.leases.is_empty() {
+            if self.times.len() == TIMES_KEPT {
+                self.times.pop_front();
+            }
+            self.times.push_back(now.saturating_sub(open.since));
+        }
         self.done[tile as usize].insert(unit.samples.clone());
         self.samples_done += unit.len();
         self.merging += 1;
-        Some(open)
+        open
+    }
+
+    /// Takes counted samples out again: they wait to be done anew.
+    pub fn uncount(&mut self, tile: u32, samples: Range<u32>) {
+        self.done[tile as usize].remove(&samples);
+        self.samples_done -= self.plan.tile(tile).area() * u64::from(samples.end - samples.start);
+        let key = UnitKey { tile, start: samples.start };
+        self.open.insert(key, Open { end: samples.end, ..Open::default() });
+        self.returned.push_back(key);
     }
 
     /// The samples of a unit of this job.
@@ -188,12 +308,44 @@ impl Job {
         self.rates.get(&worker).copied().or_else(|| (!self.rates.is_empty()).then(mean))
     }
 
+    /// How to trace a unit alone.
+    pub fn replay(&self, key: UnitKey) -> String {
+        let (tile, end) = (self.plan.tile(key.tile), self.samples(key).end);
+        let name = if self.spec.name.is_empty() { "SCENE" } else { &self.spec.name };
+        let seed = self.spec.settings.seed;
+        format!(
+            "tilecast render {name} --crop {},{},{},{} --spp {end} --seed {seed} --threads 1",
+            tile.x0, tile.y0, tile.x1, tile.y1
+        )
+    }
+
+    /// What the job comes to when nothing more can be done of it; `None` while something can.
+    pub fn outcome(&self) -> Option<JobState> {
+        if self.state.is_final() || self.merging > 0 || !self.audits.is_empty() {
+            return None;
+        }
+        let aside = |key: &UnitKey| self.plan.tile(key.tile).area() * self.samples(*key).len() as u64;
+        let set_aside: u64 = self.quarantined.keys().map(aside).sum();
+        if self.samples_done + set_aside < self.samples_total {
+            return None;
+        }
+        let mut why: Vec<&str> = self.quarantined.values().map(String::as_str).collect();
+        why.sort_unstable();
+        Some(match why.first() {
+            None => JobState::Finished,
+            Some(first) => JobState::Failed(format!("{} units were set aside; {first}", why.len())),
+        })
+    }
+
     /// Ends the job; its account is not needed any more.
     pub fn end(&mut self, now: Duration, state: JobState) {
         self.state = state;
         self.ended_at = Some(now);
         self.open = HashMap::new();
         self.returned = VecDeque::new();
+        self.overdue = VecDeque::new();
+        self.quarantined = HashMap::new();
+        self.audits = Audits::default();
         self.done = Vec::new();
         self.plan.order = Vec::new();
         self.rates = HashMap::new();

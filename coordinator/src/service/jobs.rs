@@ -1,7 +1,10 @@
 //! The service that clients call.
 
-use super::{Shared, lock, panicked};
-use crate::films::Films;
+use super::{Shared, lock, next, panicked};
+use crate::access::{Role, caller};
+use crate::ledger::RestoredJob;
+use crate::plan::Plan;
+use crate::store::StoreError;
 use bytes::Bytes;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -50,20 +53,26 @@ impl jobs_server::Jobs for Jobs {
         request: Request<Streaming<wire::BlobChunk>>,
     ) -> Result<Response<wire::PutBlobReply>, Status> {
         let mut stream = request.into_inner();
-        let first = stream.message().await?.ok_or(WireError::Stream("has no blob"))?;
+        let first = next(&mut stream).await?.ok_or(WireError::Stream("has no blob"))?;
         let digest = convert::digest(&first.digest, "blob.digest")?;
         let len = convert::blob_len(first.bytes)?;
         let room = Room::new(&self.0, len)?;
         let bytes = receive(digest, len, first.data, &mut stream).await?;
+        if let Some(store) = &self.0.store {
+            let (store, kept) = (Arc::clone(store), bytes.clone());
+            let kept = tokio::task::spawn_blocking(move || store.put_blob(&digest, &kept));
+            kept.await.map_err(panicked)?.map_err(not_kept)?;
+        }
         self.0.blobs().insert(digest, bytes);
         drop(room);
         Ok(Response::new(wire::PutBlobReply {}))
     }
 
     async fn submit_job(&self, request: Request<wire::Job>) -> Result<Response<wire::JobId>, Status> {
+        let owner = caller(&request).identity;
         let spec = JobSpec::try_from(request.into_inner())?;
         let shared = Arc::clone(&self.0);
-        let submitted = tokio::task::spawn_blocking(move || submit(&shared, spec));
+        let submitted = tokio::task::spawn_blocking(move || submit(&shared, spec, owner));
         let job = submitted.await.map_err(panicked)??;
         tracing::info!(job = job.0, "job queued");
         Ok(Response::new(job.into()))
@@ -88,8 +97,10 @@ impl jobs_server::Jobs for Jobs {
     }
 
     async fn cancel_job(&self, request: Request<wire::JobId>) -> Result<Response<wire::Progress>, Status> {
+        let caller = caller(&request);
+        let who = caller.identity.filter(|_| caller.role != Role::Admin);
         let job = JobId::from(request.into_inner());
-        self.0.with_ledger(|ledger, now| ledger.cancel(now, job))?;
+        self.0.with_ledger(|ledger, now| ledger.cancel(now, job, who))?;
         self.0.work.notify_waiters();
         Ok(Response::new(progress(&self.0, job)?.into()))
     }
@@ -119,7 +130,8 @@ struct Room<'a> {
 
 impl<'a> Room<'a> {
     fn new(shared: &'a Shared, bytes: u64) -> Result<Self, Status> {
-        shared.blobs().reserve(bytes).map_err(|e| Status::resource_exhausted(e.to_string()))?;
+        let dropped = shared.blobs().reserve(bytes).map_err(|e| Status::resource_exhausted(e.to_string()))?;
+        dropped.iter().for_each(|digest| shared.drop_blob(digest));
         Ok(Self { shared, bytes })
     }
 }
@@ -147,7 +159,7 @@ async fn receive(
         }
         hasher.update(&data);
         bytes.extend_from_slice(&data);
-        match stream.message().await? {
+        match next(stream).await? {
             Some(chunk) => data = chunk.data,
             None => break,
         }
@@ -159,20 +171,28 @@ async fn receive(
 }
 
 /// Queues a job: its blobs must be there, and room for its film. May take a moment for a large scene or film.
-fn submit(shared: &Shared, spec: JobSpec) -> Result<JobId, Status> {
+pub(crate) fn submit(shared: &Shared, spec: JobSpec, owner: Option<Digest>) -> Result<JobId, Status> {
     let blobs = if spec.workers_hold_scene { Vec::new() } else { scene_blobs(shared, &spec.scene)? };
     let _turn = lock(&shared.submitting);
     shared.films.make_room(&spec.settings).map_err(|e| Status::resource_exhausted(e.to_string()))?;
-    let film = Films::reserve(&spec.settings);
+    let plan = Plan::new(&spec.settings, spec.tile).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let film = shared.films.reserve(&spec.settings, plan);
     let lacks =
         |blob| Status::failed_precondition(format!("the coordinator lacks blob {blob} of the scene; upload it first"));
     shared.blobs().pin(&blobs).map_err(lacks)?;
     let job = shared.with_ledger(|ledger, now| {
-        let job = ledger.add_job(now, spec)?;
-        // Before anyone can lend a unit of it.
-        shared.films.insert(job, film);
-        lock(&shared.pinned).insert(job, blobs.clone());
-        Ok::<JobId, Status>(job)
+        let id = ledger.add_job(now, spec.clone(), owner)?;
+        // Before anyone can lend a unit of it; and on the disk before it is promised.
+        if let Some(store) = &shared.store {
+            let kept = store.add_job(&RestoredJob { id, spec, owner, queued_at: now, end: None });
+            if let Err(error) = kept {
+                ledger.remove_job(id);
+                return Err(not_kept(error));
+            }
+        }
+        shared.films.insert(id, film, false);
+        lock(&shared.pinned).insert(id, blobs.clone());
+        Ok::<JobId, Status>(id)
     });
     if job.is_err() {
         shared.blobs().unpin(&blobs);
@@ -182,7 +202,7 @@ fn submit(shared: &Shared, spec: JobSpec) -> Result<JobId, Status> {
 }
 
 /// The manifest of a scene and all parts it names.
-fn scene_blobs(shared: &Shared, scene: &Digest) -> Result<Vec<Digest>, Status> {
+pub(super) fn scene_blobs(shared: &Shared, scene: &Digest) -> Result<Vec<Digest>, Status> {
     let lacks = || Status::failed_precondition(format!("the coordinator lacks scene {scene}; upload it first"));
     let manifest = shared.blobs().get(scene).ok_or_else(lacks)?;
     let mut blobs = Scene::parts_of(&manifest).map_err(|e| Status::invalid_argument(e.to_string()))?;
@@ -230,6 +250,10 @@ async fn watch(shared: Arc<Shared>, job: JobId, sender: mpsc::Sender<Result<wire
 
 /// Sends a film chunk by chunk; the lock is held for a chunk at a time, so that results go on being merged.
 fn send_film(shared: &Shared, job: JobId, ended: bool, sender: &mpsc::Sender<Result<wire::FilmChunk, Status>>) {
+    if let Err(status) = bring_back(shared, job) {
+        let _ = sender.blocking_send(Err(status));
+        return;
+    }
     let mut first = 0;
     while let Some(chunk) = shared.films.rows(job, first) {
         first += u64::from(chunk.pixels);
@@ -242,4 +266,30 @@ fn send_film(shared: &Shared, job: JobId, ended: bool, sender: &mpsc::Sender<Res
     } else if ended {
         shared.films.fetched(job);
     }
+}
+
+/// Reads the film of an ended job from the store again, if it is not in memory.
+fn bring_back(shared: &Shared, job: JobId) -> Result<(), Status> {
+    if shared.store.is_none() || shared.films.has(job) {
+        return Ok(());
+    }
+    let spec = lock(&shared.ledger).spec(job)?;
+    let _turn = lock(&shared.submitting);
+    shared.films.make_room(&spec.settings).map_err(|e| Status::resource_exhausted(e.to_string()))?;
+    let plan = Plan::new(&spec.settings, spec.tile).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let film = shared.films.restore(job, &spec, plan).map_err(not_kept)?;
+    shared.films.insert(job, film, true);
+    Ok(())
+}
+
+/// A film at once, for tests.
+#[cfg(test)]
+pub(crate) fn whole_film(shared: &Shared, job: JobId) -> Result<tilecast_core::film::Film, Status> {
+    bring_back(shared, job)?;
+    shared.films.copy(job).ok_or_else(|| Status::not_found("no film"))
+}
+
+fn not_kept(error: StoreError) -> Status {
+    tracing::error!(%error, "the state could not be kept");
+    Status::resource_exhausted(format!("the coordinator's disk refuses: {error}"))
 }

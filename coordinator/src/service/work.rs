@@ -1,6 +1,6 @@
 //! The service that workers call.
 
-use super::{Shared, lock, panicked};
+use super::{Shared, lock, next, panicked};
 use bytes::{Bytes, BytesMut};
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use tilecast_proto::client::chunks;
 use tilecast_proto::convert::{self, WireError};
 use tilecast_proto::limits::{HEARTBEAT_MS, LEASE_WAIT_MS};
 use tilecast_proto::types::{
-    Failure, Fence, Heartbeat, JobId, LeaseRequest, ResultHeader, Verdict, WorkerId, WorkerInfo,
+    Failure, Fence, Heartbeat, JobId, LeaseRequest, Leave, ResultHeader, Verdict, WorkerId, WorkerInfo,
 };
 use tilecast_proto::wire::work_server;
 use tilecast_proto::wire::{
@@ -58,16 +58,30 @@ impl work_server::Work for Work {
 
     async fn submit(&self, request: Request<Streaming<ResultChunk>>) -> Result<Response<SubmitReply>, Status> {
         let mut stream = request.into_inner();
-        let first = stream.message().await?.ok_or(WireError::Stream("has no result"))?;
-        let header = ResultHeader::try_from(first.header.ok_or(WireError::Missing("result.header"))?)?;
-        let verdict = lock(&self.0.ledger).verdict(&header);
+        let first = next(&mut stream).await?.ok_or(WireError::Stream("has no result"))?;
+        let header = first.header.ok_or(WireError::Missing("result.header"))?;
+        let worker = WorkerId(header.worker);
+        let header = ResultHeader::try_from(header).inspect_err(|error| self.0.offence(worker, &error.to_string()))?;
+        let (verdict, plausible) = {
+            let ledger = lock(&self.0.ledger);
+            (ledger.verdict(&header), ledger.plausible(&header))
+        };
+        if !plausible {
+            self.0.offence(worker, "a unit that its job does not have");
+            return Err(Status::invalid_argument("the job has no such unit"));
+        }
         if verdict != Verdict::Accepted {
             // Told before the bulk has come.
             return Ok(Response::new(verdict.into()));
         }
-        let bytes = result_bytes(&header, first.data, &mut stream).await?;
+        let bytes = result_bytes(&header, first.data, &mut stream).await;
+        let bytes = bytes.inspect_err(|status| {
+            if status.code() == tonic::Code::InvalidArgument {
+                self.0.offence(worker, status.message());
+            }
+        })?;
         let shared = Arc::clone(&self.0);
-        let merged = tokio::task::spawn_blocking(move || shared.merge(&header, &bytes));
+        let merged = tokio::task::spawn_blocking(move || shared.merge(&header, bytes));
         Ok(Response::new(merged.await.map_err(panicked)??.into()))
     }
 
@@ -87,8 +101,8 @@ impl work_server::Work for Work {
     }
 
     async fn leave(&self, request: Request<LeaveRequest>) -> Result<Response<LeaveReply>, Status> {
-        let worker = WorkerId(request.into_inner().worker);
-        self.0.with_ledger(|ledger, _| ledger.leave(worker));
+        let Leave { worker, keep } = request.into_inner().try_into()?;
+        self.0.with_ledger(|ledger, _| ledger.leave(worker, &keep));
         self.0.work.notify_waiters();
         self.0.changed.notify_waiters();
         Ok(Response::new(LeaveReply {}))
@@ -115,7 +129,7 @@ async fn result_bytes(
     // Grows with what comes, up to what the header announced, which is bounded by its tile.
     let mut all = BytesMut::from(first);
     while all.len() < header.bytes {
-        let chunk = stream.message().await?.ok_or(WireError::Stream("ends before the result does"))?;
+        let chunk = next(stream).await?.ok_or(WireError::Stream("ends before the result does"))?;
         if chunk.data.is_empty() {
             return Err(WireError::Stream("has an empty chunk").into());
         }

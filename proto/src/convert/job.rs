@@ -104,7 +104,7 @@ impl TryFrom<wire::Progress> for Progress {
 
 impl From<WorkerStatus> for wire::Worker {
     fn from(status: WorkerStatus) -> Self {
-        let WorkerInfo { threads, isa, host, pid, name } = status.info;
+        let WorkerInfo { threads, isa, host, pid, name, .. } = status.info;
         Self {
             worker: status.worker.0,
             name,
@@ -133,6 +133,8 @@ impl TryFrom<wire::Worker> for WorkerStatus {
                 host: text(message.host, NAME_BYTES_MAX, "worker.host")?,
                 pid: message.pid,
                 name: text(message.name, NAME_BYTES_MAX, "worker.name")?,
+                // The coordinator's own affair.
+                instance: 0,
             },
             leases: message.leases,
             units_done: message.units_done,

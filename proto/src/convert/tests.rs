@@ -28,7 +28,7 @@ fn settings() -> Settings {
 
 fn hello() -> wire::Hello {
     let name = || "x".to_owned();
-    WorkerInfo { threads: 2, isa: name(), host: name(), pid: 1, name: name() }.into()
+    WorkerInfo { threads: 2, isa: name(), host: name(), pid: 1, name: name(), instance: 1 }.into()
 }
 
 fn unit() -> wire::Unit {

@@ -7,8 +7,8 @@ use crate::limits::{
 };
 use crate::sums;
 use crate::types::{
-    Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, Lease, LeaseReply, LeaseRequest, ResultHeader, Unit,
-    Verdict, Welcome, WorkerId, WorkerInfo,
+    Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, Lease, LeaseReply, LeaseRequest, Leave, ResultHeader,
+    Unit, Verdict, Welcome, WorkerId, WorkerInfo,
 };
 use crate::version::Version;
 use crate::wire;
@@ -27,14 +27,15 @@ impl TryFrom<wire::Hello> for WorkerInfo {
             host: text(message.host, NAME_BYTES_MAX, "hello.host")?,
             pid: message.pid,
             name: text(message.name, NAME_BYTES_MAX, "hello.name")?,
+            instance: within(message.instance, 1..=u64::MAX, "hello.instance")?,
         })
     }
 }
 
 impl From<WorkerInfo> for wire::Hello {
     fn from(info: WorkerInfo) -> Self {
-        let WorkerInfo { threads, isa, host, pid, name } = info;
-        Self { version: Some(Version::ours().into()), threads, isa, host, pid, name }
+        let WorkerInfo { threads, isa, host, pid, name, instance } = info;
+        Self { version: Some(Version::ours().into()), threads, isa, host, pid, name, instance }
     }
 }
 
@@ -252,6 +253,21 @@ impl From<Heartbeat> for wire::HeartbeatRequest {
 impl From<HeartbeatReply> for wire::HeartbeatReply {
     fn from(reply: HeartbeatReply) -> Self {
         Self { drop: reply.drop.into_iter().map(|fence| fence.0).collect() }
+    }
+}
+
+impl TryFrom<wire::LeaveRequest> for Leave {
+    type Error = WireError;
+
+    fn try_from(message: wire::LeaveRequest) -> Result<Self, WireError> {
+        at_most(message.keep.len(), LEASES_HELD_MAX, "leave.keep")?;
+        Ok(Self { worker: WorkerId(message.worker), keep: message.keep.into_iter().map(Fence).collect() })
+    }
+}
+
+impl From<Leave> for wire::LeaveRequest {
+    fn from(leave: Leave) -> Self {
+        Self { worker: leave.worker.0, keep: leave.keep.into_iter().map(|fence| fence.0).collect() }
     }
 }
 

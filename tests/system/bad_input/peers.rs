@@ -60,8 +60,13 @@ async fn a_coordinator_refuses_other_versions() {
         wire::Version { engine: "0.0.1-other".into(), ..ours.clone() },
         wire::Version { protocol: ours.protocol + 1, ..ours.clone() },
     ] {
-        let hello =
-            wire::Hello { version: Some(version.clone()), threads: 1, isa: "portable".into(), ..Default::default() };
+        let hello = wire::Hello {
+            version: Some(version.clone()),
+            threads: 1,
+            isa: "portable".into(),
+            instance: 1,
+            ..Default::default()
+        };
         let mut work = WorkClient::connect(uri.clone()).await.expect("the coordinator answers");
         let refusal = work.register(hello.clone()).await.expect_err("another version");
         assert_eq!(refusal.code(), Code::FailedPrecondition);

@@ -1,11 +1,11 @@
-//! The compact, lossless form in which sums travel.
+//! The compact, lossless form in which sums travel and are kept.
 //!
 //! A sum of f32 values in fixed point has zeros at both ends: above its magnitude, and below the last bit of its smallest
 //! sample. Each `i128` becomes a head and the bytes between: the head's low half is the number of zero bytes left out at the
 //! bottom, its high half the number of bytes kept, less one; the kept bytes are little endian and sign-extended. A zero
 //! is [`ZERO`] alone. Typical sums take 8 bytes instead of 16.
 
-use tilecast_core::film::PixelSums;
+use super::PixelSums;
 
 /// The head of a zero: 15 bytes left out and 16 kept, which no other value has.
 const ZERO: u8 = 0xff;
@@ -49,7 +49,7 @@ pub fn encode(pixels: &[PixelSums]) -> Vec<u8> {
 }
 
 /// The sums of exactly `pixels` pixels. The values are any that fit; their meaning is checked by
-/// [`tilecast_core::film::TileSums::check`]. Memory is bounded by what `bytes` can hold.
+/// [`super::TileSums::check`]. Memory is bounded by what `bytes` can hold.
 ///
 /// # Errors
 /// Too few or too many bytes, or a head that no encoder writes.
@@ -128,7 +128,7 @@ mod tests {
         let mut pixel = PixelSums::default();
         for i in 0..256u32 {
             let radiance = glam::Vec3::splat(0.1 + (i % 17) as f32 * 0.037);
-            pixel.add(i, radiance, tilecast_core::film::scale_exponent(20.0)).unwrap();
+            pixel.add(i, radiance, crate::film::scale_exponent(20.0)).unwrap();
         }
         assert!(encode(&[pixel]).len() <= 12 * 7, "{} bytes", encode(&[pixel]).len());
     }

@@ -1,0 +1,88 @@
+//! Certificates and tokens: from files to what proves who one is.
+
+use super::Usage;
+use anyhow::Context;
+use clap::Args;
+use std::path::{Path, PathBuf};
+use tilecast_coordinator::access::{Role, Security};
+use tilecast_core::scene::Digest;
+use tilecast_proto::transport::{Connector, Credentials};
+
+/// A coordinator and how to reach it.
+#[derive(Args)]
+pub struct ConnectFlags {
+    /// Where the coordinator listens: HOST:PORT
+    #[arg(long, value_name = "ADDR")]
+    connect: String,
+    /// Folder of certificates, as `tilecast certs init` makes it; of the keys, one's own is enough
+    #[arg(long, value_name = "DIR")]
+    certs: Option<PathBuf>,
+    /// Shows the token in this file instead of a certificate; of the certificates, ca.pem is enough
+    #[arg(long, value_name = "FILE", requires = "certs")]
+    token_file: Option<PathBuf>,
+}
+
+impl ConnectFlags {
+    /// The way to the coordinator, for whoever has one of these roles.
+    pub fn ready(self, roles: &[Role]) -> anyhow::Result<Connector> {
+        let unreadable = |e| Usage(format!("--connect: {e}"));
+        let Some(folder) = self.certs else { return Ok(Connector::tcp(&self.connect).map_err(unreadable)?) };
+        let token = self.token_file.map(|path| read(&path)).transpose()?;
+        let token = token.map(|bytes| String::from_utf8_lossy(&bytes).trim().to_owned());
+        let identity = if token.is_some() { None } else { Some(identity(&folder, roles)?) };
+        let credentials = Credentials { authority: read(&folder.join("ca.pem"))?, identity, token };
+        Ok(Connector::secure(&self.connect, &credentials).map_err(unreadable)?)
+    }
+}
+
+/// How a coordinator proves itself, and whom it lets in.
+#[derive(Args)]
+pub struct GuardFlags {
+    /// Folder of certificates, as `tilecast certs init` makes it: TLS, and only peers with a certificate are let in
+    #[arg(long, value_name = "DIR")]
+    certs: Option<PathBuf>,
+    /// Lets peers in that show a token of this file, too; its lines are ROLE TOKEN
+    #[arg(long, value_name = "FILE", requires = "certs")]
+    token_file: Option<PathBuf>,
+}
+
+impl GuardFlags {
+    /// What was asked for.
+    pub fn ready(self) -> anyhow::Result<Option<Security>> {
+        let Some(folder) = self.certs else { return Ok(None) };
+        let tokens = self.token_file.map(|path| tokens(&path)).transpose()?.unwrap_or_default();
+        Ok(Some(Security {
+            certificate: read(&folder.join("coordinator.pem"))?,
+            key: read(&folder.join("coordinator.key"))?,
+            authority: read(&folder.join("ca.pem"))?,
+            tokens,
+        }))
+    }
+}
+
+fn tokens(path: &Path) -> anyhow::Result<Vec<(Role, Digest)>> {
+    let text = String::from_utf8_lossy(&read(path)?).into_owned();
+    let mut tokens = Vec::new();
+    for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let at = format!("--token-file {}, line {}", path.display(), i + 1);
+        let (role, token) = line.trim().split_once(' ').ok_or_else(|| Usage(format!("{at}: write ROLE TOKEN")))?;
+        let role: Role = role.parse().map_err(|e| Usage(format!("{at}: {e}")))?;
+        tokens.push((role, Digest::of(token.trim().as_bytes())));
+    }
+    Ok(tokens)
+}
+
+/// Certificate and key of the first role that the folder has both of.
+fn identity(folder: &Path, roles: &[Role]) -> anyhow::Result<(Vec<u8>, Vec<u8>)> {
+    let paths = |role: &Role| [".pem", ".key"].map(|end| folder.join(format!("{}{end}", role.name())));
+    let there = roles.iter().map(paths).find(|paths| paths.iter().all(|path| path.exists()));
+    let names: Vec<&str> = roles.iter().map(|role| role.name()).collect();
+    let missing =
+        || Usage(format!("--certs {}: no certificate and key of a {}", folder.display(), names.join(" or an ")));
+    let [certificate, key] = there.ok_or_else(missing)?;
+    Ok((read(&certificate)?, read(&key)?))
+}
+
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| format!("{} cannot be read", path.display()))
+}
