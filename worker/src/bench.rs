@@ -311,7 +311,7 @@ mod tests {
         bench.take(lease(7), KEY, Some(&tracer(300)));
         let (fence, job, failure) = bench.traced(traced.recv().await.unwrap()).unwrap();
         assert_eq!((fence, job), (Fence(7), JobId(1)));
-        assert!(matches!(failure, Failure::Sample(text) if text.contains("--crop 0,0,1,1")));
+        assert!(matches!(failure, Failure::Sample(text) if text.contains("--pixel 0,0 --sample 0")));
     }
 
     #[test]
