@@ -44,7 +44,10 @@ const DIFFERENCES: &[(&str, &str)] = &[
     ("gaussian", "Is exact; Mitsuba evaluates a fitted polynomial, wrong by up to 0.04 %."),
     ("hdrfilm", "The image is always EXR in 32 bits, with the variance of every pixel; format options have no effect."),
     ("independent", "Numbers are Owen-scrambled Sobol' points whatever the sampler is called."),
-    ("direct", "Direct light is sampled four times a path, whatever the numbers of samples: only noise depends on them."),
+    (
+        "direct",
+        "Direct light is sampled four times a path, whatever the numbers of samples: only noise depends on them.",
+    ),
     (
         "emitters",
         "Lights are chosen by how much they may contribute; `sampling_weight`, on which only noise depends, has no effect.",
