@@ -119,7 +119,7 @@ fn row(scene: &str, renderer: &str, spp: u32, renders: &[(f64, Image)], referenc
 fn render(scene: &Path, spp: u32, seed: u32, image: &Path, flags: &[String]) -> anyhow::Result<f64> {
     let program = std::env::current_exe().context("this program's own file cannot be found")?;
     let mut command = Command::new(program);
-    command.arg("render").arg(scene).args(flags).arg("--json").arg("-o").arg(image);
+    command.arg("render").arg(scene).args(flags).args(["--no-film", "--json"]).arg("-o").arg(image);
     command.args(["--spp", &spp.to_string(), "--seed", &seed.to_string()]);
     let output = command.stdin(Stdio::null()).output().context("rendering could not be started")?;
     if !output.status.success() {

@@ -43,13 +43,25 @@ pub async fn run(Coordinator { listen, state, verify, security, style }: Coordin
         );
     }
     let address = address.to_string();
-    let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    // Seconds since 1970 fit 32 bits until 2106; the number need only differ from those before.
-    let incarnation = (epoch.as_secs() & 0xffff_ffff) as u32;
-    let config = Config { incarnation, epoch, state, verify, security, ..Config::default() };
-    let coordinator = spawn_blocking(move || tilecast_coordinator::Coordinator::open(&config));
-    let coordinator = coordinator.await.context("reading the state panicked")??;
+    let coordinator = open(Config { verify, security, ..config(state) }).await?;
     Report::new(style).listening(&address);
     coordinator.serve(tcp_incoming(listener), stop.cancelled()).await?;
     Ok(())
+}
+
+/// How a coordinator is set up that starts now.
+pub fn config(state: Option<PathBuf>) -> Config {
+    let epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    // Seconds since 1970 fit 32 bits until 2106; the number need only differ from those before.
+    let incarnation = (epoch.as_secs() & 0xffff_ffff) as u32;
+    Config { incarnation, epoch, state, ..Config::default() }
+}
+
+/// A coordinator that has read its state.
+///
+/// # Errors
+/// State that cannot be had.
+pub async fn open(config: Config) -> anyhow::Result<tilecast_coordinator::Coordinator> {
+    let opened = spawn_blocking(move || tilecast_coordinator::Coordinator::open(&config));
+    Ok(opened.await.context("reading the state panicked")??)
 }

@@ -1,12 +1,13 @@
 //! A film as OpenEXR. Channels are named as pbrt-v4 names them; attributes carry what renders the image again, bit for bit.
 
+use crate::kept::Kept;
 use crate::read::REPLICATES_ATTRIBUTE;
+use crate::report::percent;
 use anyhow::Context;
 use exr::prelude::*;
 use std::io::{Read, Seek, SeekFrom, Write};
-use tilecast_core::film::{Estimate, Film, REPLICATES};
-use tilecast_core::scene::Digest;
-use tilecast_core::settings::Settings;
+use tilecast_core::film::file::Head;
+use tilecast_core::film::{Estimate, REPLICATES};
 
 /// What a channel takes of a pixel.
 type Value = fn(&Estimate) -> f32;
@@ -38,12 +39,8 @@ const HEADER_BYTES_MAX: u64 = 64 << 10;
 ///
 /// # Errors
 /// Whatever writing fails with.
-pub fn write(
-    file: &mut (impl Read + Write + Seek),
-    film: &Film,
-    settings: &Settings,
-    scene: &Digest,
-) -> anyhow::Result<()> {
+pub fn write(file: &mut (impl Read + Write + Seek), kept: &Kept) -> anyhow::Result<()> {
+    let (film, settings) = (&kept.film, &kept.head.settings);
     let window = film.window;
     let size = Vec2(window.width() as usize, window.height() as usize);
     let mut planes = CHANNELS.map(|_| Vec::with_capacity(size.area()));
@@ -58,7 +55,7 @@ pub fn write(
         software_name: Some(Text::from(concat!("tilecast ", env!("CARGO_PKG_VERSION")))),
         ..LayerAttributes::default()
     };
-    for (name, value) in proof(film, settings, scene)? {
+    for (name, value) in proof(kept)? {
         let value = Text::new_or_none(&value).with_context(|| format!("{name} is no plain text"))?;
         attributes.other.insert(Text::from(name), AttributeValue::Text(value));
     }
@@ -103,14 +100,17 @@ fn attribute_end(bytes: &[u8]) -> Option<usize> {
 }
 
 /// What the bits of the image are a function of, and the digest that says which bits.
-fn proof(film: &Film, settings: &Settings, scene: &Digest) -> anyhow::Result<[(&'static str, String); 7]> {
+fn proof(kept: &Kept) -> anyhow::Result<[(&'static str, String); 8]> {
+    let Head { engine, scene, settings } = &kept.head;
+    let error = kept.film.relative_error(u64::MAX);
     Ok([
         ("tilecast:scene", scene.to_string()),
         ("tilecast:settings", serde_json::to_string(settings)?),
         ("tilecast:seed", settings.seed.to_string()),
-        ("tilecast:samples", format!("0..{}", settings.spp)),
+        ("tilecast:samples", kept.shown()),
+        ("tilecast:relative-error", error.map_or_else(|| "unknown".into(), |error| percent(&error))),
         (REPLICATES_ATTRIBUTE, REPLICATES.to_string()),
-        ("tilecast:engine", tilecast_core::VERSION.to_owned()),
-        ("tilecast:digest", film.digest().to_string()),
+        ("tilecast:engine", engine.clone()),
+        ("tilecast:digest", kept.film.digest().to_string()),
     ])
 }

@@ -11,6 +11,7 @@ use crate::certs::Certs;
 use crate::compare::Compare;
 use crate::coordinator::Coordinator;
 use crate::info::Info;
+use crate::merge::Merge;
 use crate::output::Output;
 use crate::picture::{Overrides, Picture};
 use crate::render::{Backend, Render};
@@ -24,6 +25,7 @@ use clap::{Args, Parser, Subcommand};
 use measuring::{BenchFlags, CompareFlags};
 use security::{ConnectFlags, GuardFlags};
 use std::io::IsTerminal;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tilecast_coordinator::access::Role;
@@ -63,6 +65,8 @@ pub enum Task {
     Cancel(Cancel),
     /// `tilecast info`
     Info(Info),
+    /// `tilecast merge`
+    Merge(Merge),
     /// `tilecast compare`
     Compare(Compare),
     /// `tilecast bench`
@@ -100,6 +104,9 @@ enum Command {
     /// Measures error against time and samples, and plots it.
     #[command(after_help = measuring::BENCH_EXAMPLES)]
     Bench(BenchFlags),
+    /// Joins images of the same picture made of different samples, on machines that never met.
+    #[command(after_help = MERGE_EXAMPLES)]
+    Merge(MergeFlags),
     /// Makes certificates for a cluster beyond loopback.
     #[command(after_help = "Example:\n  tilecast certs init certs")]
     Certs(CertsFlags),
@@ -109,12 +116,19 @@ const RENDER_EXAMPLES: &str = "\
 Examples:
   tilecast render scene.xml                              writes scene.exr
   tilecast render scene.xml --spp 4096 -o reference.exr  a quieter one
+  tilecast render scene.xml --resume reference.exr --spp 65536   goes on with it: the bits of a fresh one
   tilecast render scene.xml -D albedo=0.8 --preview      sets a <default>; also writes scene.png
   tilecast render scene.xml --strategy cosine --spp 16   where directions come from
   tilecast render model.obj --size 640x480               a bare model, under an even sky
   tilecast render scene.xml --crop 100,100,164,164       a part: the same bits as in the whole
   tilecast render scene.xml --workers 4                  four worker processes: the same bits
   tilecast render scene.xml --pixel 12,34 --sample 5     the path of one sample, vertex by vertex";
+
+const MERGE_EXAMPLES: &str = "\
+Example: half of the samples on each of two machines
+  tilecast render scene.xml --samples 0..2048 -o a.exr
+  tilecast render scene.xml --samples 2048..4096 -o b.exr
+  tilecast merge a.film b.film -o image.exr              the bits of --spp 4096";
 
 const CLUSTER_EXAMPLES: &str = "\
 A cluster in three commands:
@@ -161,6 +175,13 @@ struct PictureFlags {
     /// Switches off what saves work without changing the expected image, to measure what it gains; may be repeated
     #[arg(long, value_name = "NAME")]
     without: Vec<SavingName>,
+    /// Goes on with an image, by the film beside it, up to --spp; the result has the bits of a fresh render. Settings are the
+    /// image's [writes to it, unless -o says otherwise]
+    #[arg(long, value_name = "IMAGE.exr", requires = "spp", conflicts_with = "samples")]
+    resume: Option<PathBuf>,
+    /// Renders samples A to B-1 of each pixel alone, for `tilecast merge`; --spp says of how many in all [default: B]
+    #[arg(long, value_name = "A..B", value_parser = values::samples)]
+    samples: Option<Range<u32>>,
     /// Longest path: 1 emitters alone, 2 direct light, -1 no limit [default: the scene's]
     #[arg(long, value_name = "N", value_parser = values::max_depth, allow_negative_numbers = true)]
     max_depth: Option<values::MaxDepth>,
@@ -175,6 +196,10 @@ struct OutputFlags {
     /// Also writes OUT.png: sRGB, no exposure
     #[arg(long)]
     preview: bool,
+    /// Does not keep OUT.film, the exact sums (some 110 bytes a pixel, however many samples), without which --resume,
+    /// `tilecast merge` and more cannot go on with the image
+    #[arg(long)]
+    no_film: bool,
     /// Side of a tile in pixels; the image is the same for all
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(TILE_SIDE_MAX)))]
     tile: Option<u32>,
@@ -204,6 +229,10 @@ struct RenderFlags {
     /// Traces in N worker processes instead of this one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(CHILDREN_MAX)))]
     workers: Option<u32>,
+    /// Keeps what is done in this folder: when the render ends before the image is there (kill -9, power), the same command
+    /// goes on with it [costs writes of some 110 bytes a pixel and unit of work]
+    #[arg(long, value_name = "DIR")]
+    state: Option<PathBuf>,
     #[command(flatten)]
     isa: IsaFlags,
     /// Traces one sample of this pixel again and prints its path; writes no image
@@ -311,6 +340,24 @@ enum CertsCommand {
 }
 
 #[derive(Args)]
+struct MergeFlags {
+    /// Films, or images with their films beside them
+    #[arg(required = true, value_name = "FILM")]
+    films: Vec<PathBuf>,
+    /// The image
+    #[arg(short, long, value_name = "OUT.exr")]
+    output: PathBuf,
+    /// Also writes OUT.png: sRGB, no exposure
+    #[arg(long)]
+    preview: bool,
+    /// Does not keep OUT.film, the exact sums (some 110 bytes a pixel)
+    #[arg(long)]
+    no_film: bool,
+    #[command(flatten)]
+    style: StyleFlags,
+}
+
+#[derive(Args)]
 struct InfoFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
@@ -345,6 +392,10 @@ impl Cli {
             Command::Cancel(CancelFlags { connect, job }) => {
                 Task::Cancel(Cancel { connector: connect.ready(&ADMINS)?, job })
             }
+            Command::Merge(MergeFlags { films, output, preview, no_film, style }) => {
+                let output = Output::check(output, preview, !no_film)?;
+                Task::Merge(Merge { films, output, style: style.ready() })
+            }
             Command::Compare(flags) => Task::Compare(flags.ready()),
             Command::Bench(flags) => Task::Bench(flags.ready()?),
             Command::Info(InfoFlags { scene, defines, substitute, json }) => {
@@ -370,9 +421,9 @@ impl RenderFlags {
             }
         };
         let (tile, style) = (self.output.tile, self.output.style.ready());
-        let output = self.output.ready(&self.picture.scene)?;
+        let output = self.output.ready(&self.picture.scene, self.picture.resume.as_deref())?;
         let (picture, isa) = (self.picture.ready(), self.isa.ready()?);
-        Ok(Task::Render(Render { picture, output, tile, backend, isa, style }))
+        Ok(Task::Render(Render { picture, output, tile, backend, state: self.state, isa, style }))
     }
 }
 
@@ -392,7 +443,7 @@ impl WorkerFlags {
 impl SubmitFlags {
     fn ready(self) -> anyhow::Result<Submit> {
         let (tile, style) = (self.output.tile, self.output.style.ready());
-        let output = self.output.ready(&self.picture.scene)?;
+        let output = self.output.ready(&self.picture.scene, self.picture.resume.as_deref())?;
         Ok(Submit { picture: self.picture.ready(), connector: self.connect.ready(&CLIENTS)?, output, tile, style })
     }
 }
@@ -407,27 +458,29 @@ impl PictureFlags {
             integrator: self.integrator.map(Into::into),
             strategy: self.strategy.map(Into::into),
             sampler: self.sampler.map(Into::into),
-            without: values::without(&self.without),
+            without: (!self.without.is_empty()).then(|| values::without(&self.without)),
             max_depth: self.max_depth.map(|depth| depth.0),
         };
         let replay = replaying::command(std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()));
-        Picture { scene: self.scene, defines: self.defines, substitute: self.substitute, overrides, replay }
+        let Self { scene, defines, substitute, resume, samples, .. } = self;
+        Picture { scene, defines, substitute, overrides, resume, samples, replay }
     }
 }
 
 impl OutputFlags {
     /// The checked way to the image: that it can be written is known before anything is rendered.
-    fn ready(self, scene: &Path) -> anyhow::Result<Output> {
-        let path = match self.output {
-            Some(path) => path,
-            None => {
+    fn ready(self, scene: &Path, resume: Option<&Path>) -> anyhow::Result<Output> {
+        let path = match (self.output, resume) {
+            (Some(path), _) => path,
+            (None, Some(image)) => image.to_owned(),
+            (None, None) => {
                 let stem = scene.file_stem().context("the scene's path has no file name; name the image with -o")?;
                 let mut name = stem.to_owned();
                 name.push(".exr");
                 PathBuf::from(name)
             }
         };
-        Output::check(path, self.preview)
+        Output::check(path, self.preview, !self.no_film)
     }
 }
 

@@ -1,5 +1,6 @@
 //! A job, from its submission to its film; the same for every coordinator.
 
+use crate::kept::Kept;
 use crate::output::Output;
 use crate::picture::Ready;
 use crate::report::Report;
@@ -8,6 +9,7 @@ use anyhow::{Context, anyhow, bail};
 use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
 use std::time::{Duration, Instant};
 use tilecast_core::film::Film;
+use tilecast_core::film::ranges::Ranges;
 use tilecast_proto::client::{Client, ClientError, Watch};
 use tilecast_proto::types::{JobId, JobSpec, JobState, Progress, REPLAY_COMMAND};
 use tokio_util::sync::CancellationToken;
@@ -26,33 +28,53 @@ pub enum News {
     Fatal(anyhow::Error),
 }
 
-/// Submits, follows, fetches and writes. `news` is asked for news again and again; asking may be broken off.
+/// What to ask of a coordinator.
+pub struct Order {
+    /// What is wanted.
+    pub job: JobSpec,
+    /// Its number, if it was submitted before.
+    pub known: Option<JobId>,
+    /// Whether the job is to stay when nobody waits for it any more.
+    pub keep: bool,
+}
+
+/// Submits, or goes on with a job that was submitted before, follows, fetches and writes. `news` is asked for news again and again; asking may be broken off.
 ///
 /// # Errors
 /// A refusal, a job that fails, a lost coordinator, a file that cannot be written, or the stop that was asked for.
 pub async fn follow(
     client: &Client,
-    (ready, job): (&Ready, JobSpec),
+    ready: &Ready,
+    order: Order,
     output: &Output,
     report: &mut Report,
     stop: &CancellationToken,
     news: impl AsyncFnMut() -> News,
-) -> anyhow::Result<()> {
-    let id = client.submit(job).await?;
-    report.started(&ready.blobs.digest, &ready.settings, &output.exr);
+) -> anyhow::Result<JobId> {
+    let id = match order.known {
+        Some(id) => id,
+        None => client.submit(order.job).await?,
+    };
+    report.started(ready, &output.exr);
     let ended = tokio::select! {
         ended = to_end(client, id, ready, report, news) => ended,
         () = stop.cancelled() => Err(Stopped.into()),
     };
     let progress = match ended {
         Ok(progress) => progress,
+        Err(error) if order.keep && error.is::<Stopped>() => {
+            return Err(
+                error.context("what is done is kept in the folder of --state; the same command goes on with it")
+            );
+        }
         Err(error) => {
             // Nobody waits for it any more. If this call is lost too, the job is not the one thing to worry about.
             let _ = client.cancel(id).await;
             return Err(error);
         }
     };
-    write(client, id, ready, progress, output, report).await
+    write(client, id, ready, progress, output, report).await?;
+    Ok(id)
 }
 
 /// Follows a job to its good end. A coordinator that goes away is waited for: one with a state goes on when it is started
@@ -194,12 +216,18 @@ async fn write(
     let begun = Instant::now();
     let film = fetch(client, id).await.context("the finished image could not be fetched")?;
     let (settings, scene, files) = (ready.settings.clone(), ready.blobs.digest, output.clone());
-    let digest = tokio::task::spawn_blocking(move || {
-        files.write(&film, &settings, &scene)?;
-        anyhow::Ok(film.digest())
+    let (samples, base) = (ready.samples.clone(), ready.base.clone());
+    let written = tokio::task::spawn_blocking(move || {
+        let made = Ranges::from_sorted(vec![samples]).context("there is nothing to render")?;
+        let mut kept = Kept::even(settings, scene, film, &made);
+        if let Some(base) = base {
+            kept.join(Kept::clone(&base), ["the image", "what is gone on with"])?;
+        }
+        files.write(&kept)?;
+        anyhow::Ok(kept)
     });
-    let digest = digest.await.context("writing the image panicked")??;
+    let kept = written.await.context("writing the image panicked")??;
     progress.elapsed += begun.elapsed();
-    report.finished(&progress, &digest, &output.exr);
+    report.written(&kept, progress.elapsed, Some(&progress), &output.exr);
     Ok(())
 }

@@ -90,7 +90,15 @@ struct ImageFacts {
 /// # Errors
 /// What is wrong with the scene's files.
 pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Result<()> {
-    let picture = Picture { scene, defines, substitute, overrides: Overrides::default(), replay: String::new() };
+    let picture = Picture {
+        scene,
+        defines,
+        substitute,
+        overrides: Overrides::default(),
+        resume: None,
+        samples: None,
+        replay: String::new(),
+    };
     let facts = tokio::task::spawn_blocking(move || picture.load().map(|(scene, ready)| facts(&scene, ready))).await;
     let facts = facts.context("loading panicked")??;
     if json {

@@ -10,6 +10,8 @@ mod exr;
 mod flags;
 mod follow;
 mod info;
+mod kept;
+mod merge;
 mod output;
 mod picture;
 mod preview;
@@ -67,6 +69,7 @@ async fn perform(task: Task) -> anyhow::Result<()> {
         Task::Cancel(cancel) => cancel::run(cancel).await,
         Task::Bench(bench) => bench::run(bench).await,
         Task::Compare(compare) => compare::run(compare).await,
+        Task::Merge(merge) => tokio::task::spawn_blocking(move || merge::run(merge)).await?,
         Task::Info(info) => info::run(info).await,
         Task::Certs(certs) => certs::run(certs),
     }

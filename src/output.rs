@@ -1,12 +1,10 @@
 //! Where the image goes: found to be writable before rendering, and never there half written.
 
+use crate::kept::{Kept, beside};
 use crate::{exr, preview};
 use anyhow::{Context, bail};
 use atomic_write_file::AtomicWriteFile;
 use std::path::{Path, PathBuf};
-use tilecast_core::film::Film;
-use tilecast_core::scene::Digest;
-use tilecast_core::settings::Settings;
 
 /// Files that can be written, as far as one can know.
 #[derive(Clone, Debug)]
@@ -15,6 +13,8 @@ pub struct Output {
     pub exr: PathBuf,
     /// The picture for people, if wanted.
     pub png: Option<PathBuf>,
+    /// The film, if wanted.
+    pub film: Option<PathBuf>,
 }
 
 impl Output {
@@ -22,25 +22,34 @@ impl Output {
     ///
     /// # Errors
     /// A folder that is missing or refuses, or something else that bears the name.
-    pub fn check(path: PathBuf, preview: bool) -> anyhow::Result<Self> {
+    pub fn check(path: PathBuf, preview: bool, film: bool) -> anyhow::Result<Self> {
+        let film = film.then(|| beside(&path));
+        if film.as_ref() == Some(&path) {
+            bail!("-o {}: the image and its film would be one file; end it in .exr", path.display());
+        }
         let png = preview.then(|| path.with_extension("png"));
         if png.as_ref() == Some(&path) {
             bail!("-o {}: with --preview the image and its preview would be one file; end it in .exr", path.display());
         }
         let exr = writable(path)?;
         let png = png.map(writable).transpose()?;
-        Ok(Self { exr, png })
+        let film = film.map(writable).transpose()?;
+        Ok(Self { exr, png, film })
     }
 
     /// Writes the image. Blocks.
     ///
     /// # Errors
     /// A full disk, or whatever else befalls files; what was there before is there still.
-    pub fn write(&self, film: &Film, settings: &Settings, scene: &Digest) -> anyhow::Result<()> {
+    pub fn write(&self, kept: &Kept) -> anyhow::Result<()> {
         let failed = |path: &Path| format!("cannot write {}", path.display());
-        replace(&self.exr, |file| exr::write(file, film, settings, scene)).with_context(|| failed(&self.exr))?;
+        // The film first: an image without the film that it is of could not be gone on with.
+        if let Some(film) = &self.film {
+            kept.write(film).with_context(|| failed(film))?;
+        }
+        replace(&self.exr, |file| exr::write(file, kept)).with_context(|| failed(&self.exr))?;
         if let Some(png) = &self.png {
-            replace(png, |file| preview::write(file, film)).with_context(|| failed(png))?;
+            replace(png, |file| preview::write(file, &kept.film)).with_context(|| failed(png))?;
         }
         Ok(())
     }

@@ -1,8 +1,15 @@
 //! A scene file and what the command line changes of it, made into what is rendered.
 
 use crate::flags::Usage;
+use crate::kept::{Kept, difference};
+use crate::merge::film_of;
 use crate::report::Report;
-use std::path::PathBuf;
+use anyhow::bail;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tilecast_core::film::file::Head;
+use tilecast_core::film::ranges::Ranges;
 use tilecast_core::load::{LoadOptions, Loaded, Note, load};
 use tilecast_core::scene::{Scene, SceneBlobs};
 use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window, Without};
@@ -18,6 +25,10 @@ pub struct Picture {
     pub substitute: bool,
     /// What is to be otherwise than the file says.
     pub overrides: Overrides,
+    /// The image that is gone on with.
+    pub resume: Option<PathBuf>,
+    /// These samples alone.
+    pub samples: Option<Range<u32>>,
     /// The command that renders this picture here; with `--pixel` and `--sample` it replays a sample.
     pub replay: String,
 }
@@ -40,7 +51,7 @@ pub struct Overrides {
     /// Random numbers.
     pub sampler: Option<SamplerKind>,
     /// What saves work and shall not.
-    pub without: Without,
+    pub without: Option<Without>,
     /// Longest path, or none.
     pub max_depth: Option<Option<u32>>,
 }
@@ -51,6 +62,10 @@ pub struct Ready {
     pub blobs: SceneBlobs,
     /// How it is rendered, checked.
     pub settings: Settings,
+    /// Which samples.
+    pub samples: Range<u32>,
+    /// Those that there are already.
+    pub base: Option<Arc<Kept>>,
     /// What the scene's author should know.
     pub notes: Vec<String>,
     /// What was replaced or left out, if that was allowed.
@@ -75,12 +90,54 @@ impl Picture {
     pub fn load(&self) -> anyhow::Result<(Scene, Ready)> {
         let options = LoadOptions { defines: self.defines.clone(), substitute: self.substitute };
         let Loaded { scene, mut settings, notes, substitutions } = load(&self.scene, &options)?;
+        let base = self.resume.as_ref().map(|path| Kept::read(&film_of(path))).transpose()?;
+        if let Some(base) = &base {
+            settings = base.head.settings.clone();
+        }
         self.overrides.apply(&mut settings)?;
+        let samples = match (&self.samples, self.overrides.spp) {
+            (Some(samples), None) => {
+                settings.spp = samples.end;
+                samples.clone()
+            }
+            (Some(samples), Some(spp)) if samples.end > spp => {
+                let Range { start, end } = samples;
+                return Err(Usage(format!("--samples {start}..{end} goes beyond --spp {spp}")).into());
+            }
+            (Some(samples), Some(_)) => samples.clone(),
+            (None, _) => 0..settings.spp,
+        };
         settings.validate()?;
         let blobs = scene.blobs();
+        let samples = match (&base, &self.resume) {
+            (Some(base), Some(path)) => missing(base, path, &blobs, &settings)?,
+            _ => samples,
+        };
         let told = |notes: &[Note]| notes.iter().map(ToString::to_string).collect();
         let (notes, substitutions) = (told(&notes), told(&substitutions));
-        Ok((scene, Ready { blobs, settings, notes, substitutions, replay: self.replay.clone() }))
+        let base = base.map(Arc::new);
+        Ok((scene, Ready { blobs, settings, samples, base, notes, substitutions, replay: self.replay.clone() }))
+    }
+}
+
+/// The samples that an image lacks to be one of `settings`.
+fn missing(base: &Kept, path: &Path, blobs: &SceneBlobs, settings: &Settings) -> anyhow::Result<Range<u32>> {
+    let shown = path.display();
+    let wanted = Head { engine: tilecast_core::VERSION.to_owned(), scene: blobs.digest, settings: settings.clone() };
+    if let Some(difference) = difference(&base.head, &wanted) {
+        bail!("{shown} cannot be gone on with (there, and here): {difference}");
+    }
+    let spp = settings.spp;
+    match base.samples().map(Ranges::as_slice) {
+        Some([Range { start: 0, end }]) if *end < spp => Ok(*end..spp),
+        Some([Range { start: 0, end }]) => {
+            Err(Usage(format!("{shown} has {end} samples a pixel already; ask for more than that with --spp")).into())
+        }
+        _ => bail!(
+            "{shown} has samples {}, not the first ones of every pixel; render what is missing with --samples and join it with \
+             tilecast merge",
+            base.shown()
+        ),
     }
 }
 
@@ -107,7 +164,7 @@ impl Overrides {
         set(&mut integrator.max_depth, self.max_depth);
         set(strategy, self.strategy);
         set(sampler, self.sampler);
-        *without = self.without;
+        set(without, self.without);
         Ok(())
     }
 }

@@ -2,12 +2,14 @@
 //! here or processes beside, the way of a unit is the same.
 
 use crate::children::{Children, Spec};
-use crate::follow::{News, follow};
+use crate::coordinator::{config, open};
+use crate::follow::{News, Order, follow};
 use crate::output::Output;
 use crate::picture::{Picture, Ready};
 use crate::report::{Report, Style};
 use crate::stop::{on_signal, unless_stopped};
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
@@ -15,7 +17,7 @@ use tilecast_core::scene::Scene;
 use tilecast_core::world::World;
 use tilecast_proto::client::Client;
 use tilecast_proto::transport::{Connector, Memory, tcp_incoming};
-use tilecast_proto::types::JobSpec;
+use tilecast_proto::types::{JobId, JobSpec, JobState};
 use tilecast_worker::WorkerConfig;
 use tilecast_worker::scenes::SceneCache;
 use tokio::net::TcpListener;
@@ -32,6 +34,8 @@ pub struct Render {
     pub tile: Option<u32>,
     /// With whom.
     pub backend: Backend,
+    /// Where what is done is kept meanwhile.
+    pub state: Option<PathBuf>,
     /// Instruction set.
     pub isa: Isa,
     /// How it tells of itself.
@@ -70,15 +74,19 @@ pub async fn run(render: Render) -> anyhow::Result<()> {
         Backend::Here { threads } => {
             let compile = spawn_blocking(move || World::consume(scene));
             let world = unless_stopped(&stop, compile).await?.context("preparing the scene panicked")?;
-            (Cluster::here(world, &ready, threads, render.isa), None)
+            (Cluster::here(world, &ready, threads, &render).await?, None)
         }
         Backend::Processes { workers, threads } => {
-            (Cluster::processes(workers, threads, render.isa).await?, Some(Arc::new(scene)))
+            (Cluster::processes(workers, threads, &render).await?, Some(Arc::new(scene)))
         }
     };
     let result = cluster.render(&ready, to_upload, &render, &mut report, &stop).await;
     cluster.end().await;
-    result
+    if let (Ok(job), Some(state)) = (&result, &render.state) {
+        // The image is there: what was kept for it may go. What stays behind is in nobody's way.
+        let _ = std::fs::remove_dir_all(state.join("jobs").join(job.to_string()));
+    }
+    result.map(|_| ())
 }
 
 /// A coordinator and its workers, for one render.
@@ -96,36 +104,35 @@ enum Workers {
 
 impl Cluster {
     /// All in this process, joined by memory. The worker has the scene already.
-    fn here(world: World, ready: &Ready, threads: u32, isa: Isa) -> Self {
+    async fn here(world: World, ready: &Ready, threads: u32, render: &Render) -> anyhow::Result<Self> {
         let (memory, shutdown) = (Memory::default(), CancellationToken::new());
         let incoming = memory.listen();
+        let opened = open(config(render.state.clone())).await?;
         let closing = shutdown.clone();
-        let coordinator = tokio::spawn(async move {
-            Ok(tilecast_coordinator::run(incoming, Default::default(), closing.cancelled()).await?)
-        });
+        let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
         let scenes = Arc::new(SceneCache::default());
         scenes.insert(ready.blobs.digest, Arc::new(world));
         // When the render is done or broken off, nobody waits for what was begun.
         let drain = Duration::ZERO;
-        let config = WorkerConfig { threads, isa, name: String::new(), host: String::new(), drain };
+        let config = WorkerConfig { threads, isa: render.isa, name: String::new(), host: String::new(), drain };
         let connector = Connector::Memory(memory);
         let (to_coordinator, closing) = (connector.clone(), shutdown.clone());
         let worker = tokio::spawn(async move {
             Ok(tilecast_worker::run(to_coordinator, config, scenes, closing.cancelled()).await?)
         });
-        Self { connector, coordinator, workers: Workers::Here(worker), shutdown }
+        Ok(Self { connector, coordinator, workers: Workers::Here(worker), shutdown })
     }
 
     /// The coordinator in this process, workers beside it, gRPC over loopback between them.
-    async fn processes(workers: u32, threads: u32, isa: Isa) -> anyhow::Result<Self> {
+    async fn processes(workers: u32, threads: u32, render: &Render) -> anyhow::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").await.context("no port on loopback can be had")?;
         let address = listener.local_addr()?.to_string();
         let (shutdown, connector) = (CancellationToken::new(), Connector::tcp(&address)?);
+        let opened = open(config(render.state.clone())).await?;
         let closing = shutdown.clone();
-        let coordinator = tokio::spawn(async move {
-            Ok(tilecast_coordinator::run(tcp_incoming(listener), Default::default(), closing.cancelled()).await?)
-        });
-        let children = Children::start(workers, &Spec { address, threads, isa })?;
+        let incoming = tcp_incoming(listener);
+        let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
+        let children = Children::start(workers, &Spec { address, threads, isa: render.isa })?;
         Ok(Self { connector, coordinator, workers: Workers::Processes(children), shutdown })
     }
 
@@ -136,15 +143,18 @@ impl Cluster {
         render: &Render,
         report: &mut Report,
         stop: &CancellationToken,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<JobId> {
         let workers_hold_scene = to_upload.is_none();
         let client = Client::connect(&self.connector).await?;
         if let Some(scene) = to_upload {
             unless_stopped(stop, client.upload(&scene, &ready.blobs)).await??;
         }
         let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
-        let job = JobSpec { scene, settings, tile: render.tile, name: String::new(), workers_hold_scene };
-        follow(&client, (ready, job), &render.output, report, stop, async || self.news().await).await
+        let samples = vec![ready.samples.clone()];
+        let job = JobSpec { scene, settings, tile: render.tile, samples, name: name(ready), workers_hold_scene };
+        let known = if render.state.is_some() { begun(&client, &job).await? } else { None };
+        let order = Order { job, known, keep: render.state.is_some() };
+        follow(&client, ready, order, &render.output, report, stop, async || self.news().await).await
     }
 
     /// Waits until something is wrong. Asking may be broken off.
@@ -176,6 +186,31 @@ impl Cluster {
         }
         let _ = self.coordinator.await;
     }
+}
+
+/// What a job is called in a state: its samples are part of what it is.
+fn name(ready: &Ready) -> String {
+    format!("samples {}..{}", ready.samples.start, ready.samples.end)
+}
+
+/// The job in the coordinator's state that is this one, begun before.
+async fn begun(client: &Client, job: &JobSpec) -> anyhow::Result<Option<JobId>> {
+    let mut known = None;
+    for other in client.jobs().await? {
+        let same = other.scene == job.scene && other.settings == job.settings && other.name == job.name;
+        match other.state {
+            JobState::Queued | JobState::Running | JobState::Finished if same => known = Some(other.job),
+            JobState::Queued | JobState::Running => bail!(
+                "the folder of --state holds another render ({}, seed {}, {} spp) that is not done: finish it with the command \
+                 it was begun with, or name another folder",
+                other.name,
+                other.settings.seed,
+                other.settings.spp
+            ),
+            JobState::Finished | JobState::Failed(_) | JobState::Cancelled => {}
+        }
+    }
+    Ok(known)
 }
 
 /// Why a part of this process ended that should not have.

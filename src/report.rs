@@ -1,12 +1,14 @@
 //! What a render says while it goes on: a bar, lines, JSON, or nothing. People's text goes to stderr, JSON to stdout.
 
+use crate::kept::Kept;
+use crate::picture::Ready;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use serde_json::Value;
 use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tilecast_core::film::RelativeError;
-use tilecast_core::scene::Digest;
 use tilecast_core::settings::Settings;
 use tilecast_proto::types::Progress;
 
@@ -53,6 +55,7 @@ enum Event<'a> {
         width: u32,
         height: u32,
         spp: u32,
+        samples: [u32; 2],
         seed: u64,
         settings: &'a Settings,
         output: &'a str,
@@ -68,7 +71,9 @@ enum Event<'a> {
     },
     Finished {
         digest: &'a str,
-        spp: u32,
+        /// A whole number where all pixels have as many.
+        spp: Value,
+        samples: &'a str,
         seconds: f64,
         samples_per_second: f64,
         #[serde(flatten)]
@@ -141,12 +146,25 @@ impl Report {
     }
 
     /// Rendering begins.
-    pub fn started(&mut self, scene: &Digest, settings: &Settings, output: &Path) {
+    pub fn started(&mut self, ready: &Ready, output: &Path) {
+        let Ready { settings, samples, .. } = ready;
         let Settings { film, spp, seed, .. } = settings;
         let (width, height) = (film.crop.width(), film.crop.height());
-        let (scene, output) = (scene.to_string(), output.display().to_string());
-        let event = Event::Started { scene: &scene, width, height, spp: *spp, seed: *seed, settings, output: &output };
-        self.say(&event, || format!("rendering {width}x{height} pixels, {spp} samples each"));
+        let (scene, output) = (ready.blobs.digest.to_string(), output.display().to_string());
+        let event = Event::Started {
+            scene: &scene,
+            width,
+            height,
+            spp: *spp,
+            samples: [samples.start, samples.end],
+            seed: *seed,
+            settings,
+            output: &output,
+        };
+        self.say(&event, || match samples.start {
+            0 => format!("rendering {width}x{height} pixels, {spp} samples each"),
+            start => format!("rendering {width}x{height} pixels, samples {start} to {} each", samples.end),
+        });
         if self.style == Style::Bar {
             let style = ProgressStyle::with_template("{bar:40} {msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
             self.bar = ProgressBar::new(BAR_STEPS).with_style(style);
@@ -187,15 +205,16 @@ impl Report {
         }
     }
 
-    /// The image is written.
-    pub fn finished(&mut self, progress: &Progress, digest: &Digest, output: &Path) {
+    /// The image is written, after `elapsed`; `progress` is that of what was rendered for it, if anything was.
+    pub fn written(&mut self, kept: &Kept, elapsed: Duration, progress: Option<&Progress>, output: &Path) {
         self.bar.finish_and_clear();
-        let (digest, output) = (digest.to_string(), output.display().to_string());
-        let (spp, seconds, rate) = (progress.settings.spp, progress.elapsed.as_secs_f64(), rate(progress));
-        let relative_error = progress.relative_error;
+        let (digest, output, samples) = (kept.film.digest().to_string(), output.display().to_string(), kept.shown());
+        let (spp, seconds, rate) = (kept.spp(), elapsed.as_secs_f64(), progress.map_or(0.0, rate));
+        let relative_error = kept.film.relative_error(u64::MAX);
         let event = Event::Finished {
             digest: &digest,
-            spp,
+            spp: if spp.fract() == 0.0 { Value::from(spp as u64) } else { Value::from(spp) },
+            samples: &samples,
             seconds,
             samples_per_second: rate,
             error: relative_error.into(),
@@ -203,10 +222,8 @@ impl Report {
         };
         self.say(&event, || {
             let error = relative_error.map_or_else(String::new, |e| format!(", relative error {}", percent(&e)));
-            format!(
-                "wrote {output}: {spp} samples a pixel in {seconds:.1} s ({:.2} Msamples/s){error}\ndigest {digest}",
-                rate / 1e6
-            )
+            let rate = if rate > 0.0 { format!(" ({:.2} Msamples/s)", rate / 1e6) } else { String::new() };
+            format!("wrote {output}: {spp} samples a pixel in {seconds:.1} s{rate}{error}\ndigest {digest}")
         });
     }
 

@@ -1,6 +1,6 @@
 //! `tilecast submit`: sends a scene to a coordinator, waits for the image, and writes it here.
 
-use crate::follow::follow;
+use crate::follow::{Order, follow};
 use crate::output::Output;
 use crate::picture::Picture;
 use crate::report::{Report, Style};
@@ -41,9 +41,12 @@ pub async fn run(submit: Submit) -> anyhow::Result<()> {
     ready.tell(&mut report);
     unless_stopped(&stop, client.upload(&Arc::new(scene), &ready.blobs)).await??;
     let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
-    let job = JobSpec { scene, settings, tile: submit.tile, name, workers_hold_scene: false };
+    let samples = vec![ready.samples.clone()];
+    let job = JobSpec { scene, settings, tile: submit.tile, samples, name, workers_hold_scene: false };
     let no_news = async || std::future::pending().await;
-    follow(&client, (&ready, job), &submit.output, &mut report, &stop, no_news).await
+    follow(&client, &ready, Order { job, known: None, keep: false }, &submit.output, &mut report, &stop, no_news)
+        .await
+        .map(|_| ())
 }
 
 /// The scene's file name, as far as a job's name may be long.

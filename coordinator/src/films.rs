@@ -234,7 +234,11 @@ mod tests {
         let films = Films::new(100 * PIXEL_BYTES * 3, 0, None);
         for id in 1..=3 {
             films.make_room(&small).unwrap();
-            films.insert(JobId(id), films.reserve(&small, Plan::new(&small, None).unwrap()), false);
+            films.insert(
+                JobId(id),
+                films.reserve(&small, Plan::new(&small, None, std::slice::from_ref(&(0..1))).unwrap()),
+                false,
+            );
         }
         assert!(films.make_room(&small).is_err());
         films.end(JobId(1));

@@ -18,7 +18,7 @@ mod results;
 pub(crate) mod tests;
 mod watch;
 
-use crate::plan::{Plan, TooManyTiles};
+use crate::plan::{Plan, PlanError};
 use audit::Contributor;
 use job::{Job, UnitKey};
 use std::collections::BTreeMap;
@@ -78,9 +78,9 @@ pub enum LedgerError {
     /// See [`WORKERS_MAX`].
     #[error("{WORKERS_MAX} workers are registered; no more can be")]
     WorkersFull,
-    /// See [`crate::plan::TILES_MAX`].
+    /// It cannot be laid out.
     #[error(transparent)]
-    Tiles(#[from] TooManyTiles),
+    Plan(#[from] PlanError),
     /// It brought what makes no sense, or what others did not get.
     #[error("this worker is shut out: {0}; its machine should be looked at, and the worker then started again")]
     ShutOut(String),
@@ -200,13 +200,13 @@ impl Ledger {
     /// A job has come.
     ///
     /// # Errors
-    /// A full queue, or tiles too small.
+    /// A full queue, or what cannot be laid out.
     pub fn add_job(&mut self, now: Duration, spec: JobSpec, owner: Option<Digest>) -> Result<JobId, LedgerError> {
         let waiting = self.jobs.values().filter(|job| !job.state.is_final()).count();
         if waiting >= JOBS_QUEUED_MAX {
             return Err(LedgerError::QueueFull);
         }
-        let plan = Plan::new(&spec.settings, spec.tile)?;
+        let plan = Plan::of(&spec)?;
         let key = work_key(&spec.scene, &spec.settings);
         let id = JobId(self.next_job);
         self.next_job += 1;
@@ -217,10 +217,10 @@ impl Ledger {
     /// A job that was there before the coordinator was started again, with what was counted of each tile.
     ///
     /// # Errors
-    /// Tiles too small.
+    /// What cannot be laid out.
     pub fn restore_job(&mut self, restored: RestoredJob, done: Vec<Ranges>) -> Result<(), LedgerError> {
         let RestoredJob { id, spec, owner, queued_at, end } = restored;
-        let plan = Plan::new(&spec.settings, spec.tile)?;
+        let plan = Plan::of(&spec)?;
         let key = work_key(&spec.scene, &spec.settings);
         let mut job = Job::new(queued_at, spec, owner, key, plan);
         job.restore(done);

@@ -102,7 +102,7 @@ impl Shared {
     fn restore(&self, KeptJob { job, engine, .. }: KeptJob) -> Result<(), StoreError> {
         let (id, spec, ended) = (job.id, job.spec.clone(), job.end.is_some());
         let unfit = |reason: String| StoreError::Damaged { path: format!("jobs/{id}/job").into(), reason };
-        let plan = || crate::plan::Plan::new(&spec.settings, spec.tile).map_err(|e| unfit(e.to_string()));
+        let plan = || crate::plan::Plan::of(&spec).map_err(|e| unfit(e.to_string()));
         if ended {
             // Its film is read when someone asks for it.
             return self.with_ledger(|ledger, _| ledger.restore_job(job, Vec::new())).map_err(|e| unfit(e.to_string()));
@@ -279,7 +279,7 @@ impl From<LedgerError> for Status {
         match error {
             LedgerError::UnknownWorker(_) | LedgerError::UnknownJob(_) => Status::not_found(text),
             LedgerError::QueueFull | LedgerError::WorkersFull => Status::resource_exhausted(text),
-            LedgerError::Tiles(_) => Status::invalid_argument(text),
+            LedgerError::Plan(_) => Status::invalid_argument(text),
             LedgerError::ShutOut(_) | LedgerError::NotYours(_) => Status::permission_denied(text),
         }
     }

@@ -225,6 +225,15 @@ impl Film {
         });
     }
 
+    /// Adds all of another film of the same window and scale, whose samples are others.
+    pub fn join(&mut self, other: &Film) {
+        assert!(self.window == other.window && self.scale_exponent == other.scale_exponent, "films of other pictures");
+        self.sums.iter_mut().zip(&other.sums).for_each(|(mine, theirs)| mine.merge(theirs));
+        for (mine, theirs) in self.counts.iter_mut().flatten().zip(other.counts.iter().flatten()) {
+            *mine += theirs;
+        }
+    }
+
     fn change(
         &mut self,
         tile: Window,

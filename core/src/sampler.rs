@@ -33,6 +33,11 @@ pub enum Slot {
 /// need the best pairs.
 const JOINT: [u32; SURFACE_SLOTS as usize] = [4, 0, 5, 2, 6];
 
+/// Bits of a sample's index in its replicate, for [`SamplerKind::SobolZ`]: what depends on the samples a pixel will have.
+pub(crate) fn curve_bits(spp: u32) -> u32 {
+    spp.div_ceil(REPLICATES as u32).next_power_of_two().ilog2()
+}
+
 /// The random numbers of one sample of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampler {
@@ -54,7 +59,7 @@ impl Sampler {
     pub fn new(kind: SamplerKind, seed: u64, x: u32, y: u32, index: u32, spp: u32) -> Self {
         let (replicate, index) = (u64::from(index % REPLICATES as u32), index / REPLICATES as u32);
         let (pixel, curve) = match kind {
-            SamplerKind::SobolZ => (seed, (morton(x, y), spp.div_ceil(REPLICATES as u32).next_power_of_two().ilog2())),
+            SamplerKind::SobolZ => (seed, (morton(x, y), curve_bits(spp))),
             _ => (seed ^ mix64(u64::from(x) << 32 | u64::from(y)), (0, 0)),
         };
         let stream = mix64(mix64(pixel).wrapping_add(replicate));

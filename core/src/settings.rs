@@ -208,6 +208,16 @@ pub const FILTER_RADIUS_MAX: f32 = 16.0;
 const SCALE_EXPONENT_MAX: i32 = 512;
 
 impl Settings {
+    /// Whether a sample of a pixel is the same under both: they may differ in nothing but `spp`, and in that where no random
+    /// number depends on it.
+    pub fn same_samples(&self, other: &Settings) -> bool {
+        let rounded = |settings: &Settings| match settings.sampler {
+            SamplerKind::SobolZ => crate::sampler::curve_bits(settings.spp),
+            SamplerKind::Independent | SamplerKind::Sobol | SamplerKind::SobolJoint => 0,
+        };
+        Settings { spp: 1, ..self.clone() } == Settings { spp: 1, ..other.clone() } && rounded(self) == rounded(other)
+    }
+
     /// Checks every range.
     ///
     /// # Errors

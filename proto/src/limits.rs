@@ -45,6 +45,8 @@ pub const PIXEL_BYTES_MAX: usize = tilecast_core::film::REPLICATES * 3 * 17;
 pub const RESULT_BYTES_MAX: usize = (TILE_SIDE_MAX * TILE_SIDE_MAX) as usize * PIXEL_BYTES_MAX;
 /// Pixels of a film: 2^26 of them take 14 GB with their counts, at the coordinator and again at the client.
 pub const FILM_PIXELS_MAX: u64 = 1 << 26;
+/// Ranges of samples of a job, one a tile: 2^16 tiles of 16 pixels are 16 megapixels.
+pub const RANGES_MAX: usize = 1 << 16;
 /// Pixels in one chunk of a film, so that it fits a message whatever the sums and counts are.
 pub const FILM_CHUNK_PIXELS: u32 = 4096;
 /// A run of counts on the wire, at its longest.
@@ -91,6 +93,7 @@ const _: () = {
     // A lease takes at most 64 bytes, a job's description 256.
     assert!(LEASES_PER_REPLY_MAX * (64 + 256) <= MESSAGE_BYTES_MAX);
     assert!(FILM_CHUNK_PIXELS as usize * (PIXEL_BYTES_MAX + COUNT_RUN_BYTES_MAX) + 256 <= MESSAGE_BYTES_MAX);
+    assert!(RANGES_MAX * 10 + NAME_BYTES_MAX + 512 <= MESSAGE_BYTES_MAX, "a job names the samples of its tiles");
     assert!(HEARTBEAT_MS * 3 < LEASE_SILENCE_MS, "two lost heartbeats cost nothing");
     assert!(LEASE_SILENCE_MS + EXPIRY_TICK_MS + HEARTBEAT_MS <= REASSIGN_MS_MAX);
     assert!(LEASE_WAIT_MS * 2 <= CALL_MS_MAX, "a waiting request is not taken for a dead peer");

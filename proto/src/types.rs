@@ -197,6 +197,9 @@ pub struct JobSpec {
     pub settings: Settings,
     /// Side of a tile in pixels, 1 to [`crate::limits::TILE_SIDE_MAX`]; `None` leaves it to the coordinator.
     pub tile: Option<u32>,
+    /// The sample indices to trace: one range for all tiles, or one for each, row by row. An empty one wants nothing of its
+    /// tile. None goes beyond the settings' `spp`.
+    pub samples: Vec<Range<u32>>,
     /// What people call it; may be empty.
     pub name: String,
     /// The workers have the scene already (they live in the client's process): the blobs need not be there.

@@ -1,6 +1,7 @@
 //! The values of flags: each read from text once, refused with what would be right.
 
 use clap::ValueEnum;
+use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, SamplerKind, Strategy, Window, Without};
@@ -109,6 +110,12 @@ pub fn max_depth(text: &str) -> Result<MaxDepth, String> {
         Ok(0) => Err("0 sees nothing; 1 sees emitters, 2 direct light, -1 everything".into()),
         Ok::<i64, _>(_) | Err(_) => Err("write a number from 1, or -1 for no limit".into()),
     }
+}
+
+/// `A..B`, not empty.
+pub fn samples(text: &str) -> Result<Range<u32>, String> {
+    let parsed = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
+    parsed.filter(|range| !range.is_empty()).ok_or_else(|| "write A..B with A below B, such as 0..4096".into())
 }
 
 /// `NAME=VALUE`.

@@ -87,6 +87,7 @@ pub fn job() -> JobSpec {
     JobSpec {
         scene: scene().blobs().digest,
         settings: settings(),
+        samples: std::iter::once(0..settings().spp).collect(),
         tile: Some(16),
         name: "triangle".into(),
         workers_hold_scene: false,

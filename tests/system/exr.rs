@@ -89,7 +89,7 @@ fn a_crop_has_the_bits_of_the_whole() {
 #[test]
 fn a_preview_is_a_picture_of_the_same_size() {
     let folder = Folder::new();
-    folder.render(&scene("cornell-box/scene.xml"), SMALL.iter().chain(&["--preview", "-o", "a.exr"]));
+    folder.render(&scene("cornell-box/scene.xml"), SMALL.iter().chain(&["--preview", "--no-film", "-o", "a.exr"]));
     assert_eq!(folder.names(), ["a.exr", "a.png"]);
     let picture = image::open(folder.path("a.png")).unwrap().into_rgb8();
     assert_eq!(picture.dimensions(), (48, 40));

@@ -29,3 +29,6 @@ mod harness;
 /// Workers that bring wrong sums on purpose.
 #[cfg(test)]
 mod liars;
+/// Images gone on with, joined and interrupted.
+#[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
+mod references;

@@ -197,7 +197,7 @@ mod tests {
     }
 
     fn plan() -> Plan {
-        Plan::new(&settings(8, 4, 64), Some(4)).unwrap()
+        Plan::new(&settings(8, 4, 64), Some(4), std::slice::from_ref(&(0..64))).unwrap()
     }
 
     fn canvas(apart: u64) -> Canvas {

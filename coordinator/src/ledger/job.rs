@@ -81,6 +81,8 @@ pub(super) struct Job {
     pub samples_done: u64,
     pub samples_cut: u64,
     pub samples_total: u64,
+    /// See [`Plan::totals`].
+    totals: Vec<u64>,
     /// Units counted here whose sums are not in the film yet.
     pub merging: u32,
     /// Samples a second on one thread, by worker.
@@ -97,7 +99,7 @@ pub(super) struct Job {
 
 impl Job {
     pub fn new(now: Duration, spec: JobSpec, owner: Option<Digest>, key: Digest, plan: Plan) -> Self {
-        let samples_total = spec.settings.film.crop.area() * u64::from(spec.settings.spp);
+        let totals = plan.totals();
         Self {
             owner,
             key,
@@ -112,7 +114,8 @@ impl Job {
             audits: Audits::default(),
             samples_done: 0,
             samples_cut: 0,
-            samples_total,
+            samples_total: totals.last().copied().unwrap_or(0),
+            totals,
             merging: 0,
             rates: HashMap::new(),
             times: VecDeque::new(),
@@ -159,7 +162,10 @@ impl Job {
             let round = self.plan.rounds.get(self.cursor.round)?.clone();
             let tile = self.plan.order[self.cursor.place];
             // Results that came uncut, or before a restart, are gaps in what is left.
-            let gap = self.done[tile as usize].gap(round.start + self.cursor.passed, round.end);
+            let wanted = self.plan.wanted(tile);
+            let start = (round.start + self.cursor.passed).max(wanted.start);
+            let end = round.end.min(wanted.end);
+            let gap = if start < end { self.done[tile as usize].gap(start, end) } else { start..start };
             if gap.is_empty() {
                 self.next_tile();
                 continue;
@@ -171,7 +177,7 @@ impl Job {
             let wanted = (samples / area / replicates).max(1) * replicates;
             let count = if u64::from(left) * 2 < wanted * 3 { left } else { wanted as u32 };
             self.cursor.passed = gap.start + count - round.start;
-            if gap.start + count == round.end {
+            if gap.start + count == end {
                 self.next_tile();
             }
             self.samples_cut += area * u64::from(count);
@@ -239,12 +245,17 @@ impl Job {
             Verdict::Accepted
         } else if self.done[tile as usize].contains(&unit.samples) {
             Verdict::Duplicate
-        } else if unit.samples.end <= self.spec.settings.spp && self.is_uncut(tile, &unit.samples) {
+        } else if self.wants(tile, &unit.samples) && self.is_uncut(tile, &unit.samples) {
             // Cut by this coordinator before it was started again.
             Verdict::Accepted
         } else {
             Verdict::Stale
         }
+    }
+
+    fn wants(&self, tile: u32, samples: &Range<u32>) -> bool {
+        let wanted = self.plan.wanted(tile);
+        wanted.start <= samples.start && samples.end <= wanted.end
     }
 
     /// Whether no unit that is counted or open has any of these samples.
@@ -257,8 +268,7 @@ impl Job {
     /// Whether this can be a unit of this job at all, however it was cut.
     pub fn plausible(&self, unit: &Unit) -> bool {
         // The tiles of an ended job are not known any more.
-        self.state.is_final()
-            || (self.plan.index_of(&unit.tile).is_some() && unit.samples.end <= self.spec.settings.spp)
+        self.state.is_final() || self.plan.index_of(&unit.tile).is_some_and(|tile| self.wants(tile, &unit.samples))
     }
 
     /// Counts a unit whose verdict is [`Verdict::Accepted`], and says who had it.
@@ -298,8 +308,7 @@ impl Job {
 
     /// How many whole rounds are counted, as far as the number of samples tells.
     pub fn rounds_done(&self) -> usize {
-        let area = self.spec.settings.film.crop.area();
-        self.plan.rounds.iter().take_while(|round| area * u64::from(round.end) <= self.samples_done).count()
+        self.totals.iter().take_while(|&&total| total <= self.samples_done).count()
     }
 
     /// Samples a second on one thread of `worker`, or of the others while it has not brought anything.

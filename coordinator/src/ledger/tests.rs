@@ -23,6 +23,7 @@ pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
 
 fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
     JobSpec {
+        samples: std::iter::once(0..spp).collect(),
         scene: Digest([1; 32]),
         settings: settings(width, height, spp),
         tile: Some(16),

@@ -175,7 +175,7 @@ pub(crate) fn submit(shared: &Shared, spec: JobSpec, owner: Option<Digest>) -> R
     let blobs = if spec.workers_hold_scene { Vec::new() } else { scene_blobs(shared, &spec.scene)? };
     let _turn = lock(&shared.submitting);
     shared.films.make_room(&spec.settings).map_err(|e| Status::resource_exhausted(e.to_string()))?;
-    let plan = Plan::new(&spec.settings, spec.tile).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let plan = Plan::of(&spec).map_err(|e| Status::invalid_argument(e.to_string()))?;
     let film = shared.films.reserve(&spec.settings, plan);
     let lacks =
         |blob| Status::failed_precondition(format!("the coordinator lacks blob {blob} of the scene; upload it first"));
@@ -276,7 +276,7 @@ fn bring_back(shared: &Shared, job: JobId) -> Result<(), Status> {
     let spec = lock(&shared.ledger).spec(job)?;
     let _turn = lock(&shared.submitting);
     shared.films.make_room(&spec.settings).map_err(|e| Status::resource_exhausted(e.to_string()))?;
-    let plan = Plan::new(&spec.settings, spec.tile).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let plan = Plan::of(&spec).map_err(|e| Status::invalid_argument(e.to_string()))?;
     let film = shared.films.restore(job, &spec, plan).map_err(not_kept)?;
     shared.films.insert(job, film, true);
     Ok(())

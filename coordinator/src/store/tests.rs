@@ -18,6 +18,7 @@ fn spec() -> JobSpec {
     JobSpec {
         scene: Digest([1; 32]),
         settings: settings(32, 16, SPP),
+        samples: std::iter::once(0..SPP).collect(),
         tile: Some(16),
         name: "n".into(),
         workers_hold_scene: true,

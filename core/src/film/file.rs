@@ -194,7 +194,7 @@ fn part(bytes: &[u8], settings: &Settings) -> Option<Part> {
 /// # Errors
 /// A sample of a pixel that two parts have.
 pub fn assemble(settings: &Settings, parts: &[Part]) -> Result<Film, FilmFileError> {
-    if let Some((tile, samples)) = overlap(parts) {
+    if let Some((tile, samples)) = overlap(parts.iter().map(|part| (part.tile, &part.samples))) {
         return Err(FilmFileError::Overlap { tile, samples });
     }
     let mut film = Film::new(settings);
@@ -202,28 +202,24 @@ pub fn assemble(settings: &Settings, parts: &[Part]) -> Result<Film, FilmFileErr
     Ok(film)
 }
 
-/// Pixels and samples that two of the parts have, whatever their tiles are.
-pub fn overlap(parts: &[Part]) -> Option<(Window, Range<u32>)> {
+/// Pixels and samples that two of these have, whatever their tiles are.
+pub fn overlap<'a>(parts: impl IntoIterator<Item = (Window, &'a Ranges)>) -> Option<(Window, Range<u32>)> {
     // From top to bottom; those that reach down to where the sweep is are compared with the next.
-    let mut order: Vec<&Part> = parts.iter().collect();
-    order.sort_by_key(|part| (part.tile.y0, part.tile.x0));
-    let mut active: Vec<&Part> = Vec::new();
-    for part in order {
-        active.retain(|other| other.tile.y1 > part.tile.y0);
-        for other in &active {
-            let tile = Window {
-                x0: part.tile.x0.max(other.tile.x0),
-                y0: part.tile.y0,
-                x1: part.tile.x1.min(other.tile.x1),
-                y1: part.tile.y1.min(other.tile.y1),
-            };
-            if tile.x0 < tile.x1
-                && let Some(samples) = part.samples.as_slice().iter().find(|range| other.samples.overlaps(range))
+    let mut order: Vec<(Window, &Ranges)> = parts.into_iter().collect();
+    order.sort_by_key(|(tile, _)| (tile.y0, tile.x0));
+    let mut active: Vec<(Window, &Ranges)> = Vec::new();
+    for (tile, samples) in order {
+        active.retain(|(other, _)| other.y1 > tile.y0);
+        for (other, theirs) in &active {
+            let both =
+                Window { x0: tile.x0.max(other.x0), y0: tile.y0, x1: tile.x1.min(other.x1), y1: tile.y1.min(other.y1) };
+            if both.x0 < both.x1
+                && let Some(range) = samples.as_slice().iter().find_map(|range| theirs.common(range))
             {
-                return Some((tile, samples.clone()));
+                return Some((both, range));
             }
         }
-        active.push(part);
+        active.push((tile, samples));
     }
     None
 }

@@ -42,6 +42,13 @@ impl Ranges {
         self.0.get(at).is_some_and(|r| r.start < range.end)
     }
 
+    /// The first run of indices of `range` that are in the set.
+    pub fn common(&self, range: &Range<u32>) -> Option<Range<u32>> {
+        let at = self.0.partition_point(|r| r.end <= range.start);
+        let common = self.0.get(at).map(|r| r.start.max(range.start)..r.end.min(range.end))?;
+        (!common.is_empty()).then_some(common)
+    }
+
     /// The first run of indices from `start` on, below `end`, that is not in the set; empty at `end` if there is none.
     pub fn gap(&self, start: u32, end: u32) -> Range<u32> {
         let at = self.0.partition_point(|r| r.end <= start);
@@ -86,6 +93,7 @@ mod tests {
                     let all = (start..end).all(|i| there.contains(&i));
                     let any = (start..end).any(|i| there.contains(&i));
                     prop_assert_eq!(ranges.contains(&(start..end)), all, "{}..{} in {:?}", start, end, ranges);
+                    prop_assert_eq!(ranges.common(&(start..end)).is_some(), any);
                     prop_assert_eq!(ranges.overlaps(&(start..end)), any, "{}..{} in {:?}", start, end, ranges);
                     let first = (start..end).find(|i| !there.contains(i)).unwrap_or(end);
                     let behind = (first..end).find(|i| there.contains(i)).unwrap_or(end);

@@ -1,12 +1,13 @@
 //! What clients and coordinator say to each other, to and from the wire.
 
-use super::{WireError, digest, digest_bytes, text, window, within};
+use super::{WireError, at_most, digest, digest_bytes, text, window, within};
 use crate::limits::{
-    FAILURE_BYTES_MAX, FILM_CHUNK_PIXELS, FILM_PIXELS_MAX, NAME_BYTES_MAX, THREADS_MAX, TILE_SIDE_MAX,
+    FAILURE_BYTES_MAX, FILM_CHUNK_PIXELS, FILM_PIXELS_MAX, NAME_BYTES_MAX, RANGES_MAX, THREADS_MAX, TILE_SIDE_MAX,
 };
 use crate::sums;
 use crate::types::{FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus};
 use crate::wire;
+use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::{Film, PixelSums, REPLICATES, RelativeError};
 use tilecast_core::settings::{FILM_SIDE_MAX, Settings};
@@ -18,9 +19,11 @@ impl TryFrom<wire::Job> for JobSpec {
         let settings = Settings::try_from(message.settings.ok_or(WireError::Missing("job.settings"))?)?;
         within(settings.film.crop.area(), 1..=FILM_PIXELS_MAX, "pixels of job.settings.crop")?;
         let tile = within(message.tile, 0..=TILE_SIDE_MAX.into(), "job.tile")?;
+        let samples = ranges(&message.sample_starts, &message.sample_ends, settings.spp)?;
         Ok(Self {
             scene: digest(&message.scene, "job.scene")?,
             settings,
+            samples,
             tile: (tile > 0).then_some(tile),
             name: text(message.name, NAME_BYTES_MAX, "job.name")?,
             workers_hold_scene: message.workers_hold_scene,
@@ -28,9 +31,24 @@ impl TryFrom<wire::Job> for JobSpec {
     }
 }
 
+/// The ranges of samples of a job; whether there are as many as tiles is the plan's to say.
+fn ranges(starts: &[u32], ends: &[u32], spp: u32) -> Result<Vec<Range<u32>>, WireError> {
+    at_most(starts.len(), RANGES_MAX, "job.sample_starts")?;
+    let expected = starts.len() as u64;
+    within(ends.len() as u64, expected.max(1)..=expected.max(1), "the length of job.sample_ends")?;
+    let range = |(&start, &end): (&u32, &u32)| {
+        within(end, start.into()..=spp.into(), "job.sample_ends")?;
+        Ok(start..end)
+    };
+    let ranges: Vec<Range<u32>> = starts.iter().zip(ends).map(range).collect::<Result<_, WireError>>()?;
+    if ranges.iter().all(Range::is_empty) { Err(WireError::Missing("job.samples")) } else { Ok(ranges) }
+}
+
 impl From<JobSpec> for wire::Job {
     fn from(job: JobSpec) -> Self {
         Self {
+            sample_starts: job.samples.iter().map(|range| range.start).collect(),
+            sample_ends: job.samples.iter().map(|range| range.end).collect(),
             scene: digest_bytes(&job.scene),
             settings: Some((&job.settings).into()),
             tile: job.tile.unwrap_or(0),

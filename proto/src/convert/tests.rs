@@ -102,8 +102,10 @@ fn hostile_sizes_are_refused() {
     let mut huge = settings();
     huge.film =
         Film { width: 1 << 16, height: 1 << 16, crop: Window { x0: 0, y0: 0, x1: 1 << 16, y1: 1 << 16 }, ..huge.film };
-    let job = |settings: &Settings| {
+    let ranged = |settings: &Settings, starts: &[u32], ends: &[u32]| {
         JobSpec::try_from(wire::Job {
+            sample_starts: starts.to_vec(),
+            sample_ends: ends.to_vec(),
             scene: digest_bytes(&Digest([1; 32])),
             settings: Some(settings.into()),
             tile: 0,
@@ -111,7 +113,13 @@ fn hostile_sizes_are_refused() {
             workers_hold_scene: false,
         })
     };
+    let job = |settings: &Settings| ranged(settings, &[0], &[settings.spp]);
     assert!(job(&settings()).is_ok());
+    let spp = settings().spp;
+    for (starts, ends) in [(&[][..], &[][..]), (&[0], &[0]), (&[0], &[spp + 1]), (&[2], &[1]), (&[0, 0], &[1])] {
+        assert!(ranged(&settings(), starts, ends).is_err(), "{starts:?} {ends:?}");
+    }
+    assert_eq!(ranged(&settings(), &[0, 1], &[0, spp]).unwrap().samples, [0..0, 1..spp]);
     assert!(matches!(job(&huge), Err(WireError::Range { .. })));
 }
 
