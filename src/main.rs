@@ -11,6 +11,7 @@ mod flags;
 mod follow;
 mod info;
 mod kept;
+mod memory;
 mod merge;
 mod output;
 mod picture;
@@ -36,6 +37,7 @@ const USAGE: u8 = 2;
 const ASYNC_THREADS: usize = 2;
 
 fn main() -> ExitCode {
+    memory::give_back_large_blocks();
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

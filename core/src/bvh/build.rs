@@ -29,7 +29,7 @@ pub struct Built {
 }
 
 impl Built {
-    /// Builds the hierarchy over finite `boxes`: the same tree for the same boxes on any number of threads.
+    /// Builds the hierarchy over finite `boxes`, fewer than 2^31: the same tree for the same boxes on any number of threads.
     pub fn new(boxes: &[Aabb], leaf: LeafCost) -> Built {
         if boxes.is_empty() {
             let nodes = vec![Node::EMPTY];
@@ -37,34 +37,102 @@ impl Built {
         }
         let all = boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
         if (all.half_area() * boxes.len() as f32).is_finite() {
-            let built = Collapse::run(&binary_tree(boxes), leaf);
+            let built = Collapse::run(binary_tree(boxes), leaf);
             if built.bvh.stack_need() <= Bvh8::STACK {
                 return built;
             }
         }
         // Boxes whose sizes grow geometrically make chains, and areas beyond f32 cannot be compared. A balanced tree is
         // worse to trace and never deep.
-        Collapse::run(&balanced_tree(boxes), leaf)
+        Collapse::run(balanced_tree(boxes), leaf)
     }
 }
 
-/// A node of the binary tree.
-struct Binary {
+/// What hangs below an inner node of the binary tree: another one, or a box. The highest bit says which.
+#[derive(Clone, Copy)]
+struct Twig(u32);
+
+impl Twig {
+    const IS_BOX: u32 = 1 << 31;
+
+    fn inner(index: usize) -> Self {
+        Self(index as u32)
+    }
+
+    fn leaf(index: u32) -> Self {
+        Self(index | Self::IS_BOX)
+    }
+
+    /// The index of the box or, failing that, of the inner node.
+    fn index(self) -> Result<u32, usize> {
+        if self.0 & Self::IS_BOX == 0 { Err(self.0 as usize) } else { Ok(self.0 & !Self::IS_BOX) }
+    }
+}
+
+/// An inner node.
+struct Inner {
     bounds: Aabb,
-    /// The two children, or one primitive twice.
-    below: [u32; 2],
-    /// How many primitives are below; 1 makes it a leaf.
+    below: [Twig; 2],
+    /// How many boxes are below.
     count: u32,
 }
 
-/// Nodes in an order that has parents before children; node 0 is the root.
-type BinaryTree = Vec<Binary>;
+/// A binary tree over boxes, one a leaf. It is the largest thing while a scene is compiled, so leaves are no nodes: they are the
+/// boxes that are there anyway.
+struct BinaryTree<'a> {
+    boxes: &'a [Aabb],
+    /// Parents before children.
+    inner: Vec<Inner>,
+    root: Twig,
+}
 
-fn binary_tree(boxes: &[Aabb]) -> BinaryTree {
+impl<'a> BinaryTree<'a> {
+    /// A tree that hangs from nothing yet.
+    fn over(boxes: &'a [Aabb]) -> Self {
+        Self { boxes, inner: Vec::with_capacity(boxes.len() - 1), root: Twig::inner(0) }
+    }
+
+    /// Hangs a twig from an inner node, left (0) or right (1), or from nothing: the root.
+    fn hang(&mut self, twig: Twig, parent: Option<(usize, usize)>) {
+        match parent {
+            Some((parent, side)) => self.inner[parent].below[side] = twig,
+            None => self.root = twig,
+        }
+    }
+
+    /// A new inner node whose twigs come later; its index.
+    fn grow(&mut self, bounds: Aabb, parent: Option<(usize, usize)>) -> usize {
+        let index = self.inner.len();
+        self.hang(Twig::inner(index), parent);
+        self.inner.push(Inner { bounds, below: [Twig::inner(0); 2], count: 0 });
+        index
+    }
+
+    /// Counts what is below, when all is hung.
+    fn counted(mut self) -> Self {
+        for index in (0..self.inner.len()).rev() {
+            self.inner[index].count = self.inner[index].below.map(|twig| self.count(twig)).iter().sum();
+        }
+        self
+    }
+
+    fn bounds(&self, twig: Twig) -> Aabb {
+        match twig.index() {
+            Ok(leaf) => self.boxes[leaf as usize],
+            Err(inner) => self.inner[inner].bounds,
+        }
+    }
+
+    fn count(&self, twig: Twig) -> u32 {
+        twig.index().map_or_else(|inner| self.inner[inner].count, |_| 1)
+    }
+}
+
+fn binary_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
     let indices = (0..boxes.len() as u32).collect();
     let mut tree = PlocBuilder::new().build(PlocSearchDistance::Medium, boxes, indices, SortPrecision::U64, 1);
     ReinsertionOptimizer::default().run(&mut tree, 0.2, None);
-    parents_first(&tree)
+    parents_first(boxes, &tree)
 }
 
 impl obvhs::Boundable for Aabb {
@@ -73,105 +141,95 @@ impl obvhs::Boundable for Aabb {
     }
 }
 
-fn parents_first(tree: &Bvh2) -> BinaryTree {
-    let mut nodes: BinaryTree = Vec::with_capacity(tree.nodes.len());
-    // What waits is a node of obvhs and where its new index goes.
+fn parents_first<'a>(boxes: &'a [Aabb], from: &Bvh2) -> BinaryTree<'a> {
+    let mut tree = BinaryTree::over(boxes);
+    // What waits is a node of obvhs and where it hangs.
     let mut open = vec![(0_u32, None)];
-    while let Some((from, parent)) = open.pop() {
-        let node = &tree.nodes[from as usize];
-        let index = nodes.len() as u32;
-        if let Some((parent, side)) = parent {
-            let parent: &mut Binary = &mut nodes[parent as usize];
-            parent.below[side] = index;
-        }
-        let below = if node.is_leaf() {
-            [tree.primitive_indices[node.first_index as usize]; 2]
+    while let Some((index, parent)) = open.pop() {
+        let node = &from.nodes[index as usize];
+        if node.is_leaf() {
+            tree.hang(Twig::leaf(from.primitive_indices[node.first_index as usize]), parent);
         } else {
-            open.push((node.first_index + 1, Some((index, 1))));
-            open.push((node.first_index, Some((index, 0))));
-            [0; 2]
-        };
-        nodes.push(Binary {
-            bounds: Aabb { min: node.aabb().min.into(), max: node.aabb().max.into() },
-            below,
-            count: u32::from(node.is_leaf()),
-        });
-    }
-    for index in (0..nodes.len()).rev() {
-        if nodes[index].count == 0 {
-            nodes[index].count = nodes[index].below.map(|child| nodes[child as usize].count).iter().sum();
+            let bounds = Aabb { min: node.aabb().min.into(), max: node.aabb().max.into() };
+            let inner = tree.grow(bounds, parent);
+            open.extend([(node.first_index + 1, Some((inner, 1))), (node.first_index, Some((inner, 0)))]);
         }
     }
-    nodes
+    tree.counted()
 }
 
 /// A tree of depth log2 of the boxes: halves by the centre along the longest axis.
-fn balanced_tree(boxes: &[Aabb]) -> BinaryTree {
+fn balanced_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
     let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
-    let mut nodes: BinaryTree = Vec::with_capacity(2 * boxes.len());
+    let mut tree = BinaryTree::over(boxes);
     let mut open = vec![(0, boxes.len(), None)];
     while let Some((start, end, parent)) = open.pop() {
-        let index = nodes.len() as u32;
-        if let Some((parent, side)) = parent {
-            let parent: &mut Binary = &mut nodes[parent as usize];
-            parent.below[side] = index;
-        }
         let run = &mut order[start..end];
-        let bounds = run.iter().fold(Aabb::EMPTY, |all, &i| all.union(boxes[i as usize]));
-        let count = run.len() as u32;
-        let below = [run[0]; 2];
-        if run.len() > 1 {
-            let axis = (bounds.max - bounds.min).max_position();
-            // Half of each, so that the sum cannot overflow.
-            let centre = |i: &u32| boxes[*i as usize].min[axis] * 0.5 + boxes[*i as usize].max[axis] * 0.5;
-            let middle = run.len() / 2;
-            run.select_nth_unstable_by(middle, |a, b| centre(a).total_cmp(&centre(b)).then(a.cmp(b)));
-            open.push((start + middle, end, Some((index, 1))));
-            open.push((start, start + middle, Some((index, 0))));
+        if let [leaf] = run {
+            tree.hang(Twig::leaf(*leaf), parent);
+            continue;
         }
-        nodes.push(Binary { bounds, below, count });
+        let bounds = run.iter().fold(Aabb::EMPTY, |all, &i| all.union(boxes[i as usize]));
+        let axis = (bounds.max - bounds.min).max_position();
+        // Half of each, so that the sum cannot overflow.
+        let centre = |i: &u32| boxes[*i as usize].min[axis] * 0.5 + boxes[*i as usize].max[axis] * 0.5;
+        let middle = run.len() / 2;
+        run.select_nth_unstable_by(middle, |a, b| centre(a).total_cmp(&centre(b)).then(a.cmp(b)));
+        let inner = tree.grow(bounds, parent);
+        open.extend([(start + middle, end, Some((inner, 1))), (start, start + middle, Some((inner, 0)))]);
     }
-    nodes
+    tree.counted()
 }
 
 struct Collapse<'a> {
-    tree: &'a [Binary],
+    tree: BinaryTree<'a>,
+    /// Of the inner nodes.
     cost: Vec<[f32; WIDTH - 1]>,
-    /// The sum of half areas of the boxes below each binary node.
+    /// The sum of half areas of the boxes below each inner node.
     content: Vec<f32>,
     leaf: LeafCost,
 }
 
-impl Collapse<'_> {
-    fn run(tree: &[Binary], leaf: LeafCost) -> Built {
-        let cost = vec![[0.0; WIDTH - 1]; tree.len()];
-        let content = vec![0.0; tree.len()];
+impl<'a> Collapse<'a> {
+    fn run(tree: BinaryTree<'a>, leaf: LeafCost) -> Built {
+        let cost = vec![[0.0; WIDTH - 1]; tree.inner.len()];
+        let content = vec![0.0; tree.inner.len()];
         let mut collapse = Collapse { tree, cost, content, leaf };
-        for (index, node) in tree.iter().enumerate().rev() {
+        for index in (0..collapse.cost.len()).rev() {
             collapse.cost[index] = collapse.forests(index);
-            collapse.content[index] = match node.count {
-                1 => node.bounds.half_area(),
-                _ => node.below.map(|child| collapse.content[child as usize]).iter().sum(),
-            };
+            let below = collapse.tree.inner[index].below;
+            collapse.content[index] = below.map(|twig| collapse.content(twig)).iter().sum();
         }
-        collapse.emit()
+        let mut built = collapse.emit();
+        // The tree is gone: there is room for a copy.
+        built.bvh.nodes.shrink_to_fit();
+        built
     }
 
-    fn leaf_cost(&self, index: usize) -> f32 {
-        let node = &self.tree[index];
-        if node.count > self.leaf.max_count {
+    fn leaf_cost(&self, twig: Twig) -> f32 {
+        let count = self.tree.count(twig);
+        if count > self.leaf.max_count {
             return f32::INFINITY;
         }
-        let blocks = node.count.div_ceil(self.leaf.block) as f32;
-        node.bounds.half_area() * blocks * self.leaf.block_cost
+        let blocks = count.div_ceil(self.leaf.block) as f32;
+        self.tree.bounds(twig).half_area() * blocks * self.leaf.block_cost
     }
 
-    /// The least cost of the node's two children as `trees` trees together, and how many of them the left one gets.
+    /// `cost[n][trees - 1]`: a box is one tree, however many it may be.
+    fn cost(&self, twig: Twig, trees: usize) -> f32 {
+        twig.index().map_or_else(|inner| self.cost[inner][trees - 1], |_| self.leaf_cost(twig))
+    }
+
+    fn content(&self, twig: Twig) -> f32 {
+        twig.index().map_or_else(|inner| self.content[inner], |leaf| self.tree.boxes[leaf as usize].half_area())
+    }
+
+    /// The least cost of an inner node's two twigs as `trees` trees together, and how many of them the left one gets.
     fn split(&self, index: usize, trees: usize) -> (f32, usize) {
-        let [left, right] = self.tree[index].below.map(|child| &self.cost[child as usize]);
+        let [left, right] = self.tree.inner[index].below;
         let mut best = (f32::INFINITY, 1);
         for of_left in 1..trees {
-            let cost = left[of_left - 1] + right[trees - of_left - 1];
+            let cost = self.cost(left, of_left) + self.cost(right, trees - of_left);
             if cost < best.0 {
                 best = (cost, of_left);
             }
@@ -180,12 +238,8 @@ impl Collapse<'_> {
     }
 
     fn forests(&self, index: usize) -> [f32; WIDTH - 1] {
-        let node = &self.tree[index];
-        if node.count == 1 {
-            return [self.leaf_cost(index); WIDTH - 1];
-        }
-        let as_node = self.split(index, WIDTH).0 + node.bounds.half_area();
-        let mut cost = [self.leaf_cost(index).min(as_node); WIDTH - 1];
+        let as_node = self.split(index, WIDTH).0 + self.tree.inner[index].bounds.half_area();
+        let mut cost = [self.leaf_cost(Twig::inner(index)).min(as_node); WIDTH - 1];
         for trees in 2..WIDTH {
             cost[trees - 1] = cost[trees - 2].min(self.split(index, trees).0);
         }
@@ -193,64 +247,61 @@ impl Collapse<'_> {
     }
 
     /// The roots of the forest of at most `trees` trees.
-    fn roots(&self, index: usize, trees: usize, out: &mut Vec<usize>) {
-        let cost = &self.cost[index];
-        if trees == 1 || self.tree[index].count == 1 || cost[trees - 1] == cost[0] {
-            out.push(index);
-        } else {
-            self.roots_of_children(index, trees, out);
+    fn roots(&self, twig: Twig, trees: usize, out: &mut Vec<Twig>) {
+        match twig.index() {
+            Err(inner) if trees > 1 && self.cost[inner][trees - 1] != self.cost[inner][0] => {
+                self.roots_below(inner, trees, out);
+            }
+            _ => out.push(twig),
         }
     }
 
-    fn roots_of_children(&self, index: usize, trees: usize, out: &mut Vec<usize>) {
+    fn roots_below(&self, index: usize, trees: usize, out: &mut Vec<Twig>) {
         let of_left = self.split(index, trees).1;
-        let [left, right] = self.tree[index].below.map(|child| child as usize);
+        let [left, right] = self.tree.inner[index].below;
         self.roots(left, of_left, out);
         self.roots(right, trees - of_left, out);
     }
 
-    fn is_leaf(&self, index: usize) -> bool {
-        let count = self.tree[index].count;
-        count == 1 || count <= self.leaf.max_count && self.leaf_cost(index) <= self.cost[index][0]
+    fn is_leaf(&self, twig: Twig) -> bool {
+        let count = self.tree.count(twig);
+        count == 1 || count <= self.leaf.max_count && self.leaf_cost(twig) <= self.cost(twig, 1)
     }
 
     /// The chance that a ray which passes the box hits something in it, by the cost of finding out. An any-hit traversal
     /// that goes down where this is largest ends soonest. The chance is a guess: `density` boxes lie behind any point
     /// of the surface, and half of what passes a primitive's box hits it.
-    fn promise(&self, index: usize) -> f32 {
-        let area = self.tree[index].bounds.half_area();
-        let cost = if self.is_leaf(index) { self.leaf_cost(index) } else { self.cost[index][0] };
-        let density = 0.5 * self.content[index] / area;
+    fn promise(&self, twig: Twig) -> f32 {
+        let area = self.tree.bounds(twig).half_area();
+        let cost = if self.is_leaf(twig) { self.leaf_cost(twig) } else { self.cost(twig, 1) };
+        let density = 0.5 * self.content(twig) / area;
         density / (1.0 + density) * area / cost
     }
 
-    /// Appends the primitives below the node.
-    fn leaf_at(&self, index: usize, order: &mut Vec<u32>) -> Leaf {
+    /// Appends the boxes below.
+    fn leaf_at(&self, twig: Twig, order: &mut Vec<u32>) -> Leaf {
         let first = order.len() as u32;
-        let mut open = vec![index];
-        while let Some(index) = open.pop() {
-            let node = &self.tree[index];
-            if node.count == 1 {
-                order.push(node.below[0]);
-            } else {
-                open.extend(node.below.iter().rev().map(|&child| child as usize));
+        let mut open = vec![twig];
+        while let Some(twig) = open.pop() {
+            match twig.index() {
+                Ok(leaf) => order.push(leaf),
+                Err(inner) => open.extend(self.tree.inner[inner].below.iter().rev()),
             }
         }
         Leaf { first, count: order.len() as u32 - first }
     }
 
-    fn emit(&self) -> Built {
+    fn emit(self) -> Built {
         let mut nodes = vec![Node::EMPTY];
-        let mut order = Vec::with_capacity(self.tree[0].count as usize);
-        let mut open = vec![(0, 0)];
+        let mut order = Vec::with_capacity(self.tree.boxes.len());
+        let mut open = vec![(self.tree.root, 0)];
         let mut roots = Vec::with_capacity(WIDTH);
-        while let Some((index, wide)) = open.pop() {
+        while let Some((twig, wide)) = open.pop() {
             roots.clear();
-            if self.is_leaf(index) {
+            match twig.index() {
+                Err(inner) if !self.is_leaf(twig) => self.roots_below(inner, WIDTH, &mut roots),
                 // Only the root of the whole tree: a node with one leaf.
-                roots.push(index);
-            } else {
-                self.roots_of_children(index, WIDTH, &mut roots);
+                _ => roots.push(twig),
             }
             roots.sort_by(|&a, &b| self.promise(b).total_cmp(&self.promise(a)));
             let opened = open.len();
@@ -263,11 +314,10 @@ impl Collapse<'_> {
                     open.push((below, nodes.len() - 1));
                     Child::node(nodes.len() as u32 - 1)
                 };
-                nodes[wide].set(slot, self.tree[below].bounds, child);
+                nodes[wide].set(slot, self.tree.bounds(below), child);
             }
             open[opened..].reverse();
         }
-        nodes.shrink_to_fit();
         Built { bvh: Bvh8 { nodes }, order }
     }
 }
