@@ -128,10 +128,14 @@ impl<'a> BinaryTree<'a> {
     }
 }
 
+/// The share of the nodes, from the top, that reinsertion looks at in its first pass. A fifth took a million triangles twice as long
+/// to build and traced no faster.
+const REINSERTED: f32 = 0.05;
+
 fn binary_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
     let indices = (0..boxes.len() as u32).collect();
     let mut tree = PlocBuilder::new().build(PlocSearchDistance::Medium, boxes, indices, SortPrecision::U64, 1);
-    ReinsertionOptimizer::default().run(&mut tree, 0.2, None);
+    ReinsertionOptimizer::default().run(&mut tree, REINSERTED, None);
     parents_first(boxes, &tree)
 }
 

@@ -8,6 +8,8 @@ mod choice;
 mod environment;
 mod list;
 mod spot;
+#[cfg(test)]
+mod tests;
 mod tree;
 mod triangle;
 
