@@ -102,7 +102,8 @@ def tilecast_renders(mitsuba, options):
     with tempfile.TemporaryDirectory() as folder:
         for k in range(options.renders):
             out = pathlib.Path(folder) / f'{k}.exr'
-            command = [options.tilecast, 'render', options.scene, '--spp', str(options.spp), '--seed', str(k),
+            spp = str(options.tilecast_spp or options.spp)
+            command = [options.tilecast, 'render', options.scene, '--spp', spp, '--seed', str(k),
                        '-o', str(out), '--quiet']
             command += [word for define in options.define for word in ('-D', define)]
             command += ['--size', '{}x{}'.format(*options.size)] if options.size else []
@@ -133,6 +134,7 @@ def arguments():
     parser.add_argument('--renders', type=int, default=64, help='independent renders a side (64)')
     parser.add_argument('--spp', type=int, default=128, help='samples a pixel in each (128)')
     parser.add_argument('--tilecast', help='the tilecast binary; without it Mitsuba is only tested against itself')
+    parser.add_argument('--tilecast-spp', type=int, help="tilecast's samples, where it needs fewer (as --spp)")
     parser.add_argument('--cache', default='target/mitsuba-cache', help='where to keep the renders of Mitsuba')
     parser.add_argument('--means', type=float, default=0.002, help='largest difference of the means, relative (0.002)')
     parser.add_argument('--size', type=size, metavar='WxH', help="the picture's, in place of the scene's own")
