@@ -17,6 +17,13 @@ soak:
     TILECAST_RUNS=100 cargo test --release --test system -- faults liars
     TILECAST_SEEDS=10000 cargo test --release -p tilecast-coordinator sim
 
+# Ten minutes of made-up bytes for each reader of files, the wire and the journal (needs nightly Rust and `cargo install cargo-fuzz`).
+# What is found goes to fuzz/corpus, which ordinary tests replay; only keep what is small.
+fuzz seconds="600":
+    for target in xml obj ply serialized texture wire film journal; do \
+        (cd fuzz && cargo +nightly fuzz run --fuzz-dir . --sanitizer none $target -- -max_total_time={{seconds}} -max_len=20000 -rss_limit_mb=2048 -timeout=10) || exit 1; \
+    done
+
 # Formats everything.
 fmt:
     cargo fmt --all
