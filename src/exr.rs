@@ -10,11 +10,11 @@ use tilecast_core::film::file::Head;
 use tilecast_core::film::{Estimate, REPLICATES};
 
 /// What a channel takes of a pixel.
-type Value = fn(&Estimate) -> f32;
+pub type Value = fn(&Estimate) -> f32;
 
 /// What there is of a pixel, by channel. All are f32, the count too: readers such as pbrt's take files of one type. It is
 /// exact up to 2^24; `tilecast:samples` is exact beyond.
-const CHANNELS: [(&str, Value); 7] = [
+pub const CHANNELS: [(&str, Value); 7] = [
     ("R", |e| e.mean[0]),
     ("G", |e| e.mean[1]),
     ("B", |e| e.mean[2]),
@@ -100,8 +100,10 @@ fn attribute_end(bytes: &[u8]) -> Option<usize> {
 }
 
 /// What the bits of the image are a function of, and the digest that says which bits.
-fn proof(kept: &Kept) -> anyhow::Result<[(&'static str, String); 8]> {
-    let Head { engine, scene, settings } = &kept.head;
+fn proof(kept: &Kept) -> anyhow::Result<[(&'static str, String); 9]> {
+    let Head { engine, scene, settings, target } = &kept.head;
+    // Of two halves of two replicates each, the variance has a degree of freedom less.
+    let replicates = if kept.film.halves { REPLICATES - 1 } else { REPLICATES };
     let error = kept.film.relative_error(u64::MAX);
     Ok([
         ("tilecast:scene", scene.to_string()),
@@ -109,7 +111,8 @@ fn proof(kept: &Kept) -> anyhow::Result<[(&'static str, String); 8]> {
         ("tilecast:seed", settings.seed.to_string()),
         ("tilecast:samples", kept.shown()),
         ("tilecast:relative-error", error.map_or_else(|| "unknown".into(), |error| percent(&error))),
-        (REPLICATES_ATTRIBUTE, REPLICATES.to_string()),
+        ("tilecast:target", serde_json::to_string(target)?),
+        (REPLICATES_ATTRIBUTE, replicates.to_string()),
         ("tilecast:engine", engine.clone()),
         ("tilecast:digest", kept.film.digest().to_string()),
     ])

@@ -17,12 +17,15 @@ use crate::picture::{Overrides, Picture};
 use crate::render::{Backend, Render};
 use crate::replay::Replay;
 use crate::report::Style;
+use crate::scale::Scale;
+use crate::seek::Goal;
 use crate::status::Status;
 use crate::submit::Submit;
+use crate::verify::Verify;
 use crate::worker::Worker;
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
-use measuring::{BenchFlags, CompareFlags};
+use measuring::{BenchFlags, CompareFlags, ScaleFlags};
 use security::{ConnectFlags, GuardFlags};
 use std::io::IsTerminal;
 use std::ops::Range;
@@ -30,6 +33,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tilecast_coordinator::access::Role;
 use tilecast_core::bvh::simd::Isa;
+use tilecast_core::film::file::Target;
 use tilecast_core::settings::Window;
 use tilecast_proto::limits::{THREADS_MAX, TILE_SIDE_MAX};
 use values::{IntegratorName, SamplerName, SavingName, StrategyName};
@@ -67,6 +71,10 @@ pub enum Task {
     Info(Info),
     /// `tilecast merge`
     Merge(Merge),
+    /// `tilecast scale`
+    Scale(Scale),
+    /// `tilecast verify`
+    Verify(Verify),
     /// `tilecast compare`
     Compare(Compare),
     /// `tilecast bench`
@@ -107,6 +115,12 @@ enum Command {
     /// Joins images of the same picture made of different samples, on machines that never met.
     #[command(after_help = MERGE_EXAMPLES)]
     Merge(MergeFlags),
+    /// Measures how much sooner an image is done with more workers, and simulates how it would go on.
+    #[command(after_help = measuring::SCALE_EXAMPLES)]
+    Scale(ScaleFlags),
+    /// Renders random parts of an image again, and says whether its bits are what its scene and settings give.
+    #[command(after_help = "Example:\n  tilecast verify reference.exr scene.xml --share 0.05")]
+    Verify(VerifyFlags),
     /// Makes certificates for a cluster beyond loopback.
     #[command(after_help = "Example:\n  tilecast certs init certs")]
     Certs(CertsFlags),
@@ -142,7 +156,7 @@ Beyond this machine, all three with certificates from `tilecast certs init certs
 
 /// The scene, and how it is rendered.
 #[derive(Args)]
-struct PictureFlags {
+pub struct PictureFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
     /// Sets a value that the scene names $NAME, above its own default
@@ -196,8 +210,11 @@ struct OutputFlags {
     /// Also writes OUT.png: sRGB, no exposure
     #[arg(long)]
     preview: bool,
-    /// Does not keep OUT.film, the exact sums (some 110 bytes a pixel, however many samples), without which --resume,
-    /// `tilecast merge` and more cannot go on with the image
+    /// Refreshes OUT.exr, OUT.png and OUT.error.png, a picture of the errors, after every round
+    #[arg(long)]
+    previews: bool,
+    /// Does not keep OUT.film, the exact sums (some 110 bytes a pixel, however many samples), without which --resume and
+    /// `tilecast merge` cannot go on with the image, nor OUT.json, which says who rendered what
     #[arg(long)]
     no_film: bool,
     /// Side of a tile in pixels; the image is the same for all
@@ -207,8 +224,34 @@ struct OutputFlags {
     style: StyleFlags,
 }
 
+/// When an image is done, if not at a number of samples.
 #[derive(Args)]
-struct StyleFlags {
+struct GoalFlags {
+    /// Renders until the relative error of the image is E (0.02: 2 %), with more samples where it is noisier; unbiased, and
+    /// the same bits for any number of workers
+    #[arg(long, value_name = "E", value_parser = values::error, conflicts_with_all = ["spp", "samples", "resume"])]
+    target_error: Option<f32>,
+    /// Likewise, until 95 % of the picture are known to E, relative to the pixels around
+    #[arg(long, value_name = "E", value_parser = values::error, conflicts_with_all = ["target_error", "spp", "samples", "resume"])]
+    target_pixel_error: Option<f32>,
+    /// Renders for so long, such as 90s, 30m or 4h
+    #[arg(long, value_name = "TIME", value_parser = values::time, conflicts_with_all = ["target_error", "target_pixel_error", "spp", "samples", "resume", "tile"])]
+    time: Option<Duration>,
+}
+
+impl GoalFlags {
+    fn ready(&self) -> Goal {
+        match (self.target_error, self.target_pixel_error, self.time) {
+            (Some(error), _, _) => Goal::Error(Target::Image(error)),
+            (_, Some(error), _) => Goal::Error(Target::Pixels(error)),
+            (_, _, Some(time)) => Goal::Time(time),
+            (None, None, None) => Goal::Samples,
+        }
+    }
+}
+
+#[derive(Args)]
+pub struct StyleFlags {
     /// Says what happens as JSON on stdout, one object a line
     #[arg(long, conflicts_with = "quiet")]
     json: bool,
@@ -221,6 +264,8 @@ struct StyleFlags {
 struct RenderFlags {
     #[command(flatten)]
     picture: PictureFlags,
+    #[command(flatten)]
+    goal: GoalFlags,
     #[command(flatten)]
     output: OutputFlags,
     /// Threads that trace; with --workers, of each of them [default: all cores, divided among the workers]
@@ -251,7 +296,7 @@ const ADMINS: [Role; 2] = [Role::Admin, Role::Client];
 const CHILDREN_MAX: u32 = 1024;
 
 #[derive(Args)]
-struct IsaFlags {
+pub struct IsaFlags {
     /// Instruction set to trace with; all give the same bits [default: TILECAST_ISA, or the fastest here]
     #[arg(long, value_name = "NAME", value_parser = values::isa)]
     isa: Option<Isa>,
@@ -298,6 +343,8 @@ struct WorkerFlags {
 struct SubmitFlags {
     #[command(flatten)]
     picture: PictureFlags,
+    #[command(flatten)]
+    goal: GoalFlags,
     #[command(flatten)]
     connect: ConnectFlags,
     #[command(flatten)]
@@ -358,6 +405,42 @@ struct MergeFlags {
 }
 
 #[derive(Args)]
+struct VerifyFlags {
+    /// The image; the film beside it is looked at, too, if it is there
+    image: PathBuf,
+    /// The scene it claims to be of
+    scene: PathBuf,
+    /// Sets a value that the scene names $NAME, above its own default
+    #[arg(short = 'D', value_name = "NAME=VALUE", value_parser = values::define)]
+    defines: Vec<(String, String)>,
+    /// Replaces or leaves out what tilecast does not have, as when the image was rendered
+    #[arg(long)]
+    substitute: bool,
+    /// The share of the image that is rendered again
+    #[arg(long, value_name = "SHARE", default_value_t = 0.01, value_parser = values::share)]
+    share: f64,
+    /// Chooses which; without it nobody can know before
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Threads that trace [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(THREADS_MAX)))]
+    threads: Option<u32>,
+    #[command(flatten)]
+    isa: IsaFlags,
+    /// One JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+impl VerifyFlags {
+    fn ready(self) -> anyhow::Result<Verify> {
+        let Self { image, scene, defines, substitute, share, seed, threads, isa, json } = self;
+        let threads = threads.unwrap_or_else(cores);
+        Ok(Verify { image, scene, defines, substitute, share, seed, threads, isa: isa.ready()?, json })
+    }
+}
+
+#[derive(Args)]
 struct InfoFlags {
     /// Mitsuba 3 XML, or a bare Wavefront OBJ
     scene: PathBuf,
@@ -396,6 +479,8 @@ impl Cli {
                 let output = Output::check(output, preview, !no_film)?;
                 Task::Merge(Merge { films, output, style: style.ready() })
             }
+            Command::Scale(flags) => Task::Scale(flags.ready()?),
+            Command::Verify(flags) => Task::Verify(flags.ready()?),
             Command::Compare(flags) => Task::Compare(flags.ready()),
             Command::Bench(flags) => Task::Bench(flags.ready()?),
             Command::Info(InfoFlags { scene, defines, substitute, json }) => {
@@ -422,8 +507,8 @@ impl RenderFlags {
         };
         let (tile, style) = (self.output.tile, self.output.style.ready());
         let output = self.output.ready(&self.picture.scene, self.picture.resume.as_deref())?;
-        let (picture, isa) = (self.picture.ready(), self.isa.ready()?);
-        Ok(Task::Render(Render { picture, output, tile, backend, state: self.state, isa, style }))
+        let (picture, goal, isa) = (self.picture.ready(), self.goal.ready(), self.isa.ready()?);
+        Ok(Task::Render(Render { picture, goal, output, tile, backend, state: self.state, isa, style }))
     }
 }
 
@@ -444,7 +529,15 @@ impl SubmitFlags {
     fn ready(self) -> anyhow::Result<Submit> {
         let (tile, style) = (self.output.tile, self.output.style.ready());
         let output = self.output.ready(&self.picture.scene, self.picture.resume.as_deref())?;
-        Ok(Submit { picture: self.picture.ready(), connector: self.connect.ready(&CLIENTS)?, output, tile, style })
+        let goal = self.goal.ready();
+        Ok(Submit {
+            picture: self.picture.ready(),
+            goal,
+            connector: self.connect.ready(&CLIENTS)?,
+            output,
+            tile,
+            style,
+        })
     }
 }
 
@@ -480,7 +573,8 @@ impl OutputFlags {
                 PathBuf::from(name)
             }
         };
-        Output::check(path, self.preview, !self.no_film)
+        let output = Output::check(path, self.preview, !self.no_film)?;
+        if self.previews { output.refreshed() } else { Ok(output) }
     }
 }
 

@@ -3,13 +3,16 @@
 use crate::kept::Kept;
 use crate::output::Output;
 use crate::picture::Ready;
+use crate::proof::Finished;
 use crate::report::Report;
+use crate::seek::{Goal, seek};
 use crate::stop::Stopped;
 use anyhow::{Context, anyhow, bail};
 use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
 use std::time::{Duration, Instant};
-use tilecast_core::film::Film;
-use tilecast_core::film::ranges::Ranges;
+use tilecast_core::film::{Film, RelativeError};
+use tilecast_core::scene::Digest;
+use tilecast_core::settings::Settings;
 use tilecast_proto::client::{Client, ClientError, Watch};
 use tilecast_proto::types::{JobId, JobSpec, JobState, Progress, REPLAY_COMMAND};
 use tokio_util::sync::CancellationToken;
@@ -32,92 +35,203 @@ pub enum News {
 pub struct Order {
     /// What is wanted.
     pub job: JobSpec,
-    /// Its number, if it was submitted before.
-    pub known: Option<JobId>,
-    /// Whether the job is to stay when nobody waits for it any more.
-    pub keep: bool,
+    /// Whether it is no part of the image.
+    pub pilot: bool,
 }
 
-/// Submits, or goes on with a job that was submitted before, follows, fetches and writes. `news` is asked for news again and again; asking may be broken off.
+/// The line to a coordinator, over which an image is made, in one job or several.
+pub struct Line<'a, N> {
+    /// The coordinator.
+    pub client: &'a Client,
+    /// What is rendered.
+    pub ready: &'a Ready,
+    /// Where to.
+    pub output: &'a Output,
+    /// Whether jobs outlive whoever waits for them: those that are known already are gone on with.
+    pub keep: bool,
+    /// Ends the waiting.
+    pub stop: &'a CancellationToken,
+    /// Asked for news again and again; asking may be broken off.
+    pub news: N,
+    /// Jobs so far.
+    pub jobs: Vec<JobId>,
+    /// The last one's.
+    pub progress: Option<Progress>,
+    /// Whether refreshed pictures are wanted, and the error that the last one had.
+    shown: Option<RelativeError>,
+}
+
+/// Renders to a goal, and writes the image. Gives the numbers of the jobs that it took.
 ///
 /// # Errors
 /// A refusal, a job that fails, a lost coordinator, a file that cannot be written, or the stop that was asked for.
 pub async fn follow(
-    client: &Client,
-    ready: &Ready,
-    order: Order,
-    output: &Output,
+    mut line: Line<'_, impl AsyncFnMut() -> News>,
+    goal: Goal,
+    job: JobSpec,
     report: &mut Report,
-    stop: &CancellationToken,
-    news: impl AsyncFnMut() -> News,
-) -> anyhow::Result<JobId> {
-    let id = match order.known {
-        Some(id) => id,
-        None => client.submit(order.job).await?,
-    };
-    report.started(ready, &output.exr);
-    let ended = tokio::select! {
-        ended = to_end(client, id, ready, report, news) => ended,
-        () = stop.cancelled() => Err(Stopped.into()),
-    };
-    let progress = match ended {
-        Ok(progress) => progress,
-        Err(error) if order.keep && error.is::<Stopped>() => {
-            return Err(
-                error.context("what is done is kept in the folder of --state; the same command goes on with it")
-            );
+) -> anyhow::Result<Vec<JobId>> {
+    let begun = Instant::now();
+    report.started(line.ready, goal, &line.output.exr);
+    let ready = line.ready;
+    let kept = seek(&mut line, ready, goal, &job, report).await?;
+    let (base, files) = (line.ready.base.clone(), line.output.clone());
+    let written = tokio::task::spawn_blocking(move || {
+        let mut kept = kept;
+        if let Some(base) = base {
+            kept.join(Kept::clone(&base), ["the image", "what is gone on with"])?;
         }
-        Err(error) => {
-            // Nobody waits for it any more. If this call is lost too, the job is not the one thing to worry about.
-            let _ = client.cancel(id).await;
-            return Err(error);
-        }
-    };
-    write(client, id, ready, progress, output, report).await?;
-    Ok(id)
+        files.write(&kept)?;
+        anyhow::Ok(kept)
+    });
+    let kept = written.await.context("writing the image panicked")??;
+    // A coordinator that was replaced meanwhile does not know; the image is there all the same.
+    let workers = line.client.contributions(&line.jobs).await.unwrap_or_default();
+    let proof = Finished::new(&kept, begun.elapsed(), &workers, line.output);
+    line.output.write_proof(&proof)?;
+    report.written(&kept, begun.elapsed(), line.progress.as_ref(), &line.output.exr);
+    Ok(line.jobs)
 }
 
-/// Follows a job to its good end. A coordinator that goes away is waited for: one with a state goes on when it is started
-/// again.
-async fn to_end(
-    client: &Client,
-    id: JobId,
-    ready: &Ready,
-    report: &mut Report,
-    mut news: impl AsyncFnMut() -> News,
-) -> anyhow::Result<Progress> {
-    let mut following = Following { client, id, watch: None, delays: None };
-    loop {
-        let progress = tokio::select! {
-            progress = following.next() => match progress {
-                Ok(progress) => progress,
-                Err(Lost::ForGood(error)) => return Err(error),
-                Err(Lost::ForNow(why)) => {
-                    report.warning(&format!("lost the coordinator ({why}); waiting for it"));
+impl<'a, N: AsyncFnMut() -> News> Line<'a, N> {
+    /// A line on which nothing was asked yet.
+    pub fn new(client: &'a Client, ready: &'a Ready, output: &'a Output, stop: &'a CancellationToken, news: N) -> Self {
+        Self { client, ready, output, keep: false, stop, news, jobs: Vec::new(), progress: None, shown: None }
+    }
+
+    /// Has one job done; gives its film.
+    ///
+    /// # Errors
+    /// See [`follow`].
+    pub async fn trace(&mut self, mut order: Order, report: &mut Report) -> anyhow::Result<Film> {
+        let known = if self.keep {
+            order.job.name = name(&order.job);
+            begun(self.client, &order.job).await?
+        } else {
+            None
+        };
+        let settings = order.job.settings.clone();
+        let id = match known {
+            Some(id) => id,
+            None => self.client.submit(order.job).await?,
+        };
+        self.jobs.push(id);
+        let stop = self.stop.clone();
+        let ended = tokio::select! {
+            ended = self.until_end(id, (&settings, order.pilot), report) => ended,
+            () = stop.cancelled() => Err(Stopped.into()),
+        };
+        match ended {
+            Ok(progress) => self.progress = Some(progress),
+            Err(error) if self.keep && error.is::<Stopped>() => {
+                return Err(
+                    error.context("what is done is kept in the folder of --state; the same command goes on with it")
+                );
+            }
+            Err(error) => {
+                // Nobody waits for it any more. If this call is lost too, the job is not the one thing to worry about.
+                let _ = self.client.cancel(id).await;
+                return Err(error);
+            }
+        }
+        fetch(self.client, id).await.context("the finished image could not be fetched")
+    }
+
+    /// Follows a job to its good end. A coordinator that goes away is waited for: one with a state goes on when it is started
+    /// again.
+    async fn until_end(
+        &mut self,
+        id: JobId,
+        (settings, pilot): (&Settings, bool),
+        report: &mut Report,
+    ) -> anyhow::Result<Progress> {
+        let mut following = Following { client: self.client, id, watch: None, delays: None };
+        loop {
+            let mut progress = tokio::select! {
+                progress = following.next() => match progress {
+                    Ok(progress) => progress,
+                    Err(Lost::ForGood(error)) => return Err(error),
+                    Err(Lost::ForNow(why)) => {
+                        report.warning(&format!("lost the coordinator ({why}); waiting for it"));
+                        continue;
+                    }
+                },
+                told = (self.news)() => {
+                    match told {
+                        News::Warning(text) => report.warning(&text),
+                        News::Fatal(error) => return Err(error),
+                    }
                     continue;
                 }
-            },
-            told = news() => {
-                match told {
-                    News::Warning(text) => report.warning(&text),
-                    News::Fatal(error) => return Err(error),
+            };
+            if progress.scene != self.ready.blobs.digest || progress.settings != *settings {
+                bail!("job {id} is another one now: the coordinator was replaced; submit again, to one with --state");
+            }
+            if pilot {
+                // It says nothing of the image's error.
+                progress.relative_error = None;
+            }
+            report.progress(&progress);
+            self.refresh(id, &progress).await?;
+            match &progress.state {
+                JobState::Queued | JobState::Running => {}
+                JobState::Finished => return Ok(progress),
+                JobState::Failed(why) => {
+                    bail!("the image cannot be rendered: {}", why.replace(REPLAY_COMMAND, &self.ready.replay))
                 }
-                continue;
+                JobState::Cancelled => bail!("someone cancelled the job; nothing was written"),
             }
-        };
-        if progress.scene != ready.blobs.digest || progress.settings != ready.settings {
-            bail!("job {id} is another one now: the coordinator was replaced; submit again, to one with --state");
-        }
-        report.progress(&progress);
-        match &progress.state {
-            JobState::Queued | JobState::Running => {}
-            JobState::Finished => return Ok(progress),
-            JobState::Failed(why) => {
-                bail!("the image cannot be rendered: {}", why.replace(REPLAY_COMMAND, &ready.replay))
-            }
-            JobState::Cancelled => bail!("someone cancelled the job; nothing was written"),
         }
     }
+
+    /// Writes what there is, where that is wanted and another round is done.
+    async fn refresh(&mut self, id: JobId, progress: &Progress) -> anyhow::Result<()> {
+        let error = progress.relative_error.filter(|_| self.output.refreshed && !progress.state.is_final());
+        if error.is_none() || error == self.shown {
+            return Ok(());
+        }
+        self.shown = error;
+        let film = fetch(self.client, id).await?;
+        let (settings, scene, files) = (progress.settings.clone(), progress.scene, self.output.clone());
+        let base = self.ready.base.clone();
+        let written = tokio::task::spawn_blocking(move || {
+            let mut film = film;
+            if let Some(base) = base {
+                film.join(&base.film);
+            }
+            files.refresh(&Kept::in_the_making(settings, scene, film))
+        });
+        written.await.context("writing the picture panicked")?
+    }
+}
+
+/// What a job is called where it may be gone on with: its samples are part of what it is.
+fn name(job: &JobSpec) -> String {
+    let bytes: Vec<u8> =
+        job.samples.iter().flat_map(|range| [range.start.to_le_bytes(), range.end.to_le_bytes()]).flatten().collect();
+    let start = job.samples.iter().map(|range| range.start).min().unwrap_or(0);
+    let end = job.samples.iter().map(|range| range.end).max().unwrap_or(0);
+    format!("samples {start}..{end}, {}", Digest::of(&bytes))
+}
+
+/// The job in the coordinator's state that is this one, begun before.
+async fn begun(client: &Client, job: &JobSpec) -> anyhow::Result<Option<JobId>> {
+    let mut known = None;
+    for other in client.jobs().await? {
+        let same = other.scene == job.scene && other.settings == job.settings && other.name == job.name;
+        match other.state {
+            JobState::Queued | JobState::Running | JobState::Finished if same => known = Some(other.job),
+            JobState::Queued | JobState::Running => bail!(
+                "the folder of --state holds another render ({}, seed {}, {} spp) that is not done: finish it with the command \
+                 it was begun with, or name another folder",
+                other.name,
+                other.settings.seed,
+                other.settings.spp
+            ),
+            JobState::Finished | JobState::Failed(_) | JobState::Cancelled => {}
+        }
+    }
+    Ok(known)
 }
 
 /// A job's events, over as many connections as it takes.
@@ -203,31 +317,4 @@ async fn fetch(client: &Client, id: JobId) -> anyhow::Result<Film> {
         }
         tokio::time::sleep(delays.next().unwrap_or(RETRY_MAX)).await;
     }
-}
-
-async fn write(
-    client: &Client,
-    id: JobId,
-    ready: &Ready,
-    mut progress: Progress,
-    output: &Output,
-    report: &mut Report,
-) -> anyhow::Result<()> {
-    let begun = Instant::now();
-    let film = fetch(client, id).await.context("the finished image could not be fetched")?;
-    let (settings, scene, files) = (ready.settings.clone(), ready.blobs.digest, output.clone());
-    let (samples, base) = (ready.samples.clone(), ready.base.clone());
-    let written = tokio::task::spawn_blocking(move || {
-        let made = Ranges::from_sorted(vec![samples]).context("there is nothing to render")?;
-        let mut kept = Kept::even(settings, scene, film, &made);
-        if let Some(base) = base {
-            kept.join(Kept::clone(&base), ["the image", "what is gone on with"])?;
-        }
-        files.write(&kept)?;
-        anyhow::Ok(kept)
-    });
-    let kept = written.await.context("writing the image panicked")??;
-    progress.elapsed += begun.elapsed();
-    report.written(&kept, progress.elapsed, Some(&progress), &output.exr);
-    Ok(())
 }

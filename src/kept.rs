@@ -4,6 +4,8 @@
 use crate::output::replace;
 use anyhow::{Context, bail};
 use serde_json::Value;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fs::File;
 use std::io::BufWriter;
 use std::ops::Range;
@@ -12,7 +14,7 @@ use tilecast_core::film::Film;
 use tilecast_core::film::file::{FilmWriter, Head, PART_PIXELS_MAX, Part, assemble, overlap, read};
 use tilecast_core::film::ranges::Ranges;
 use tilecast_core::scene::Digest;
-use tilecast_core::settings::{Settings, Window};
+use tilecast_core::settings::{Half, Settings, Window};
 
 /// See the module.
 #[derive(Clone, Debug)]
@@ -21,9 +23,12 @@ pub struct Kept {
     pub head: Head,
     /// Their sums.
     pub film: Film,
-    /// Which samples the pixels have: tiles that do not overlap.
-    pub tiles: Vec<(Window, Ranges)>,
+    /// Which samples the pixels have: tiles that do not overlap, of both halves or of each.
+    pub tiles: Tiles,
 }
+
+/// Tiles, the half whose indices the ranges are, and those.
+pub type Tiles = Vec<(Window, Half, Ranges)>;
 
 /// The film beside an image.
 pub fn beside(image: &Path) -> PathBuf {
@@ -33,9 +38,14 @@ pub fn beside(image: &Path) -> PathBuf {
 impl Kept {
     /// A film whose pixels all have the same samples.
     pub fn even(settings: Settings, scene: Digest, film: Film, samples: &Ranges) -> Self {
-        let head = Head { engine: tilecast_core::VERSION.to_owned(), scene, settings };
-        let tiles = bands(film.window).map(|band| (band, samples.clone())).collect();
+        let head = Head { engine: tilecast_core::VERSION.to_owned(), scene, settings, target: None };
+        let tiles = bands(film.window).map(|band| (band, Half::Both, samples.clone())).collect();
         Self { head, film, tiles }
+    }
+
+    /// A film of which nobody knows yet which samples it will have.
+    pub fn in_the_making(settings: Settings, scene: Digest, film: Film) -> Self {
+        Self { tiles: Vec::new(), ..Self::even(settings, scene, film, &Ranges::default()) }
     }
 
     /// Reads a film. Blocks.
@@ -45,12 +55,21 @@ impl Kept {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let shown = || format!("cannot read the film {}", path.display());
         let (head, parts) = read(File::open(path).with_context(shown)?).with_context(shown)?;
-        let film = assemble(&head.settings, &parts).with_context(shown)?;
-        let mut tiles: Vec<(Window, Ranges)> = Vec::new();
-        for Part { tile, samples, .. } in parts {
-            match tiles.iter_mut().rev().find(|(known, _)| *known == tile) {
-                Some((_, known)) => samples.as_slice().iter().for_each(|range| known.insert(range.clone())),
-                None => tiles.push((tile, samples)),
+        let mut film = assemble(&head.settings, &parts).with_context(shown)?;
+        film.halves = head.target.is_some();
+        let mut tiles = Tiles::new();
+        let mut places: HashMap<(Window, Half), usize> = HashMap::new();
+        for Part { tile, half, samples, .. } in parts {
+            // Of other contributors there may be more of the same tile.
+            match places.entry((tile, half)) {
+                Entry::Occupied(place) => {
+                    let (_, _, known) = &mut tiles[*place.get()];
+                    samples.as_slice().iter().for_each(|range| known.insert(range.clone()));
+                }
+                Entry::Vacant(place) => {
+                    place.insert(tiles.len());
+                    tiles.push((tile, half, samples));
+                }
             }
         }
         Ok(Self { head, film, tiles })
@@ -63,9 +82,10 @@ impl Kept {
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         replace(path, |file| {
             let mut writer = FilmWriter::new(BufWriter::with_capacity(1 << 20, file), &self.head)?;
-            for (tile, samples) in &self.tiles {
-                let pixels = self.film.tile(*tile);
-                writer.part(&Part { tile: *tile, samples: samples.clone(), pixels, contributor: 0 })?;
+            for (tile, half, samples) in &self.tiles {
+                let mut pixels = self.film.tile(*tile);
+                pixels.iter_mut().for_each(|pixel| pixel.keep(*half));
+                writer.part(&Part { tile: *tile, half: *half, samples: samples.clone(), pixels, contributor: 0 })?;
             }
             writer.finish()?.into_inner().map_err(std::io::IntoInnerError::into_error)?;
             Ok(())
@@ -74,15 +94,15 @@ impl Kept {
 
     /// The samples of all pixels, if all have the same.
     pub fn samples(&self) -> Option<&Ranges> {
-        let (_, first) = self.tiles.first()?;
-        let even = self.tiles.iter().all(|(_, samples)| samples == first);
-        let area: u64 = self.tiles.iter().map(|(tile, _)| tile.area()).sum();
+        let (_, _, first) = self.tiles.first()?;
+        let even = self.tiles.iter().all(|(_, half, samples)| *half == Half::Both && samples == first);
+        let area: u64 = self.tiles.iter().map(|(tile, ..)| tile.area()).sum();
         (even && area == self.film.window.area()).then_some(first)
     }
 
     /// Samples a pixel, on average.
     pub fn spp(&self) -> f64 {
-        let of = |(tile, samples): &(Window, Ranges)| tile.area() as f64 * samples.count() as f64;
+        let of = |(tile, _, samples): &(Window, Half, Ranges)| tile.area() as f64 * samples.count() as f64;
         self.tiles.iter().map(of).sum::<f64>() / self.film.window.area() as f64
     }
 
@@ -95,7 +115,11 @@ impl Kept {
         if let Some(difference) = difference(&self.head, &other.head) {
             bail!("{theirs} does not belong to {mine}: {difference}");
         }
-        let all = self.tiles.iter().chain(&other.tiles).map(|(tile, samples)| (*tile, samples));
+        let (Some(all), Some(more)) = (self.samples(), other.samples()) else {
+            bail!("{theirs} and {mine} have other samples in some tiles than in others; such films stand alone");
+        };
+        let (mut both, more) = (all.clone(), more.clone());
+        let all = self.tiles.iter().chain(&other.tiles).map(|(tile, _, samples)| (*tile, samples));
         if let Some((tile, samples)) = overlap(all) {
             bail!(
                 "{theirs} and {mine} both have samples {}..{} of the pixels from ({}, {}) to ({}, {}): a sample counts once",
@@ -108,14 +132,8 @@ impl Kept {
             );
         }
         let window = self.film.window;
-        self.tiles = match (self.samples(), other.samples()) {
-            (Some(mine), Some(theirs)) => {
-                let mut both = mine.clone();
-                theirs.as_slice().iter().for_each(|range| both.insert(range.clone()));
-                bands(window).map(|band| (band, both.clone())).collect()
-            }
-            _ => bail!("{theirs} and {mine} have other samples in some tiles than in others; such films stand alone"),
-        };
+        more.as_slice().iter().for_each(|range| both.insert(range.clone()));
+        self.tiles = bands(window).map(|band| (band, Half::Both, both.clone())).collect();
         self.film.join(&other.film);
         self.head.settings.spp = self.head.settings.spp.max(other.head.settings.spp);
         Ok(())
@@ -125,6 +143,7 @@ impl Kept {
     pub fn shown(&self) -> String {
         match self.samples() {
             Some(samples) => shown(samples),
+            None if self.tiles.is_empty() => "in the making".into(),
             None => "other ones in every tile".into(),
         }
     }
@@ -134,6 +153,15 @@ impl Kept {
 pub fn shown(samples: &Ranges) -> String {
     let shown: Vec<String> = samples.as_slice().iter().map(|Range { start, end }| format!("{start}..{end}")).collect();
     shown.join(",")
+}
+
+/// Ranges from such text; `None` from other text.
+pub fn parse(text: &str) -> Option<Ranges> {
+    let range = |part: &str| {
+        let (start, end) = part.split_once("..")?;
+        Some(start.parse().ok()?..end.parse().ok()?)
+    };
+    Ranges::from_sorted(text.split(',').map(range).collect::<Option<_>>()?)
 }
 
 /// Why samples under one head do not belong to those under another.

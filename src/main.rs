@@ -16,13 +16,17 @@ mod merge;
 mod output;
 mod picture;
 mod preview;
+mod proof;
 mod read;
 mod render;
 mod replay;
 mod report;
+mod scale;
+mod seek;
 mod status;
 mod stop;
 mod submit;
+mod verify;
 mod worker;
 
 use clap::Parser;
@@ -72,6 +76,8 @@ async fn perform(task: Task) -> anyhow::Result<()> {
         Task::Bench(bench) => bench::run(bench).await,
         Task::Compare(compare) => compare::run(compare).await,
         Task::Merge(merge) => tokio::task::spawn_blocking(move || merge::run(merge)).await?,
+        Task::Scale(scale) => scale::run(scale).await,
+        Task::Verify(verify) => tokio::task::spawn_blocking(move || verify::run(&verify)).await?,
         Task::Info(info) => info::run(info).await,
         Task::Certs(certs) => certs::run(certs),
     }

@@ -2,6 +2,7 @@
 
 use crate::kept::{Kept, beside};
 use crate::output::Output;
+use crate::proof::Finished;
 use crate::report::{Report, Style};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -35,6 +36,7 @@ pub fn run(merge: Merge) -> anyhow::Result<()> {
     }
     let Some((kept, _)) = joined else { return Ok(()) };
     merge.output.write(&kept)?;
+    merge.output.write_proof(&Finished::new(&kept, begun.elapsed(), &[], &merge.output))?;
     Report::new(merge.style).written(&kept, begun.elapsed(), None, &merge.output.exr);
     Ok(())
 }

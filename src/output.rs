@@ -1,9 +1,11 @@
 //! Where the image goes: found to be writable before rendering, and never there half written.
 
 use crate::kept::{Kept, beside};
+use crate::proof::Finished;
 use crate::{exr, preview};
 use anyhow::{Context, bail};
 use atomic_write_file::AtomicWriteFile;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Files that can be written, as far as one can know.
@@ -15,6 +17,12 @@ pub struct Output {
     pub png: Option<PathBuf>,
     /// The film, if wanted.
     pub film: Option<PathBuf>,
+    /// What there is to say of the image, likewise.
+    pub json: Option<PathBuf>,
+    /// The picture of its errors, if wanted.
+    pub errors: Option<PathBuf>,
+    /// Whether image and pictures are written after every round.
+    pub refreshed: bool,
 }
 
 impl Output {
@@ -34,7 +42,37 @@ impl Output {
         let exr = writable(path)?;
         let png = png.map(writable).transpose()?;
         let film = film.map(writable).transpose()?;
-        Ok(Self { exr, png, film })
+        let json = film.is_some().then(|| exr.with_extension("json")).map(writable).transpose()?;
+        Ok(Self { exr, png, film, json, errors: None, refreshed: false })
+    }
+
+    /// The same, with pictures that are refreshed after every round, one of them of the errors.
+    ///
+    /// # Errors
+    /// See [`Output::check`].
+    pub fn refreshed(self) -> anyhow::Result<Self> {
+        let png = writable(self.exr.with_extension("png"))?;
+        let errors = writable(self.exr.with_extension("error.png"))?;
+        Ok(Self { png: Some(png), errors: Some(errors), refreshed: true, ..self })
+    }
+
+    /// Writes what there is of the image. Blocks.
+    ///
+    /// # Errors
+    /// See [`Output::write`].
+    pub fn refresh(&self, kept: &Kept) -> anyhow::Result<()> {
+        Self { film: None, ..self.clone() }.write(kept)
+    }
+
+    /// Writes what there is to say of the image. Blocks, but not for long.
+    ///
+    /// # Errors
+    /// See [`Output::write`].
+    pub fn write_proof(&self, proof: &Finished) -> anyhow::Result<()> {
+        let Some(path) = &self.json else { return Ok(()) };
+        let text = serde_json::to_string_pretty(proof)? + "\n";
+        replace(path, |file| Ok(file.write_all(text.as_bytes())?))
+            .with_context(|| format!("cannot write {}", path.display()))
     }
 
     /// Writes the image. Blocks.
@@ -50,6 +88,9 @@ impl Output {
         replace(&self.exr, |file| exr::write(file, kept)).with_context(|| failed(&self.exr))?;
         if let Some(png) = &self.png {
             replace(png, |file| preview::write(file, &kept.film)).with_context(|| failed(png))?;
+        }
+        if let Some(errors) = &self.errors {
+            replace(errors, |file| preview::write_errors(file, &kept.film)).with_context(|| failed(errors))?;
         }
         Ok(())
     }

@@ -123,7 +123,12 @@ impl Picture {
 /// The samples that an image lacks to be one of `settings`.
 fn missing(base: &Kept, path: &Path, blobs: &SceneBlobs, settings: &Settings) -> anyhow::Result<Range<u32>> {
     let shown = path.display();
-    let wanted = Head { engine: tilecast_core::VERSION.to_owned(), scene: blobs.digest, settings: settings.clone() };
+    let wanted = Head {
+        engine: tilecast_core::VERSION.to_owned(),
+        scene: blobs.digest,
+        settings: settings.clone(),
+        target: None,
+    };
     if let Some(difference) = difference(&base.head, &wanted) {
         bail!("{shown} cannot be gone on with (there, and here): {difference}");
     }

@@ -1,8 +1,11 @@
 //! Images from files: OpenEXR by channel name, and what the `image` library reads.
 
+use crate::exr::CHANNELS;
 use anyhow::{Context, bail};
 use exr::prelude::{AttributeValue, FlatSamples, read_all_flat_layers_from_file};
 use std::path::Path;
+use tilecast_core::film::Estimate;
+use tilecast_core::settings::Settings;
 use tilecast_measure::image::{Image, Variance};
 
 /// Channels that a colour image has.
@@ -44,6 +47,83 @@ fn exr(path: &Path) -> anyhow::Result<Image> {
     });
     let variance = planes(VARIANCES).map(|rgb| Variance { rgb, freedom });
     Ok(Image { name: path.display().to_string(), width, height, rgb, variance })
+}
+
+/// What an image of ours says of itself, and its bits.
+pub struct Proof {
+    /// Digest of its scene, as text.
+    pub scene: String,
+    /// Settings.
+    pub settings: Settings,
+    /// The tracer's version.
+    pub engine: String,
+    /// Digest of its film, likewise.
+    pub digest: String,
+    /// Its sample ranges, as text.
+    pub samples: String,
+    /// See [`crate::exr`]'s channels, in that order; row by row.
+    planes: [Vec<f32>; 7],
+}
+
+impl Proof {
+    /// Changes the last bit of a value; again, and it is as before.
+    #[cfg(test)]
+    pub fn flip(&mut self, x: u32, y: u32, plane: usize) {
+        let crop = self.settings.film.crop;
+        let value = &mut self.planes[plane][(y - crop.y0) as usize * crop.width() as usize + (x - crop.x0) as usize];
+        // A count of 4 and one more in the last place are different numbers of samples only if the last place is 1.
+        *value = if plane == 6 { 9.0 - *value } else { f32::from_bits(value.to_bits() ^ 1) };
+    }
+
+    /// A pixel of it, in the coordinates of the whole picture.
+    pub fn pixel(&self, x: u32, y: u32) -> Estimate {
+        let crop = self.settings.film.crop;
+        let at = (y - crop.y0) as usize * crop.width() as usize + (x - crop.x0) as usize;
+        let [r, g, b, vr, vg, vb, count] = &self.planes;
+        Estimate { mean: [r[at], g[at], b[at]], variance: [vr[at], vg[at], vb[at]], count: f64::from(count[at]) as u64 }
+    }
+}
+
+/// Reads an image of ours with what it says of itself. Blocks.
+///
+/// # Errors
+/// One that is none, or lacks something.
+pub fn proof(path: &Path) -> anyhow::Result<Proof> {
+    read_proof(path).with_context(|| format!("{} is no image that tilecast can verify", path.display()))
+}
+
+fn read_proof(path: &Path) -> anyhow::Result<Proof> {
+    let file = read_all_flat_layers_from_file(path)?;
+    let layer = file.layer_data.first().context("it has no layer")?;
+    let text = |name: &str| {
+        let found = layer.attributes.other.iter().find(|(key, _)| **key == *name);
+        match found {
+            Some((_, AttributeValue::Text(text))) => Ok(text.to_string()),
+            _ => bail!("it lacks the attribute {name}"),
+        }
+    };
+    let settings: Settings = serde_json::from_str(&text("tilecast:settings")?).context("its settings make no sense")?;
+    settings.validate()?;
+    let crop = settings.film.crop;
+    if (layer.size.0, layer.size.1) != (crop.width() as usize, crop.height() as usize) {
+        bail!("its size is not that of its settings");
+    }
+    let planes = CHANNELS.map(|(name, _)| {
+        let channel = layer.channel_data.list.iter().find(|channel| channel.name.eq(name));
+        match channel.map(|channel| &channel.sample_data) {
+            Some(FlatSamples::F32(values)) => Ok(values.clone()),
+            _ => Err(anyhow::anyhow!("it lacks the channel {name}, or that is not of 32 bits")),
+        }
+    });
+    let [r, g, b, vr, vg, vb, count] = planes;
+    Ok(Proof {
+        scene: text("tilecast:scene")?,
+        digest: text("tilecast:digest")?,
+        engine: text("tilecast:engine")?,
+        samples: text("tilecast:samples")?,
+        planes: [r?, g?, b?, vr?, vg?, vb?, count?],
+        settings,
+    })
 }
 
 fn value(samples: &FlatSamples, i: usize) -> f32 {

@@ -3,12 +3,14 @@
 
 use crate::children::{Children, Spec};
 use crate::coordinator::{config, open};
-use crate::follow::{News, Order, follow};
+use crate::follow::{Line, News, follow};
 use crate::output::Output;
 use crate::picture::{Picture, Ready};
 use crate::report::{Report, Style};
+use crate::seek::Goal;
 use crate::stop::{on_signal, unless_stopped};
-use anyhow::{Context, anyhow, bail};
+use crate::worker::{cpu, host};
+use anyhow::{Context, anyhow};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,7 +19,7 @@ use tilecast_core::scene::Scene;
 use tilecast_core::world::World;
 use tilecast_proto::client::Client;
 use tilecast_proto::transport::{Connector, Memory, tcp_incoming};
-use tilecast_proto::types::{JobId, JobSpec, JobState};
+use tilecast_proto::types::{JobId, JobSpec};
 use tilecast_worker::WorkerConfig;
 use tilecast_worker::scenes::SceneCache;
 use tokio::net::TcpListener;
@@ -28,6 +30,8 @@ use tokio_util::sync::CancellationToken;
 pub struct Render {
     /// What.
     pub picture: Picture,
+    /// When it is done.
+    pub goal: Goal,
     /// Where to.
     pub output: Output,
     /// Side of a tile in pixels, or the coordinator's choice.
@@ -77,21 +81,25 @@ pub async fn run(render: Render) -> anyhow::Result<()> {
             (Cluster::here(world, &ready, threads, &render).await?, None)
         }
         Backend::Processes { workers, threads } => {
-            (Cluster::processes(workers, threads, &render).await?, Some(Arc::new(scene)))
+            let cluster = Cluster::processes(workers, threads, render.isa, render.state.clone()).await?;
+            (cluster, Some(Arc::new(scene)))
         }
     };
     let result = cluster.render(&ready, to_upload, &render, &mut report, &stop).await;
     cluster.end().await;
-    if let (Ok(job), Some(state)) = (&result, &render.state) {
+    if let (Ok(jobs), Some(state)) = (&result, &render.state) {
         // The image is there: what was kept for it may go. What stays behind is in nobody's way.
-        let _ = std::fs::remove_dir_all(state.join("jobs").join(job.to_string()));
+        for job in jobs {
+            let _ = std::fs::remove_dir_all(state.join("jobs").join(job.to_string()));
+        }
     }
     result.map(|_| ())
 }
 
 /// A coordinator and its workers, for one render.
-struct Cluster {
-    connector: Connector,
+pub struct Cluster {
+    /// The way to its coordinator.
+    pub connector: Connector,
     coordinator: JoinHandle<anyhow::Result<()>>,
     workers: Workers,
     shutdown: CancellationToken,
@@ -114,7 +122,7 @@ impl Cluster {
         scenes.insert(ready.blobs.digest, Arc::new(world));
         // When the render is done or broken off, nobody waits for what was begun.
         let drain = Duration::ZERO;
-        let config = WorkerConfig { threads, isa: render.isa, name: String::new(), host: String::new(), drain };
+        let config = WorkerConfig { threads, isa: render.isa, name: String::new(), host: host(), cpu: cpu(), drain };
         let connector = Connector::Memory(memory);
         let (to_coordinator, closing) = (connector.clone(), shutdown.clone());
         let worker = tokio::spawn(async move {
@@ -124,15 +132,18 @@ impl Cluster {
     }
 
     /// The coordinator in this process, workers beside it, gRPC over loopback between them.
-    async fn processes(workers: u32, threads: u32, render: &Render) -> anyhow::Result<Self> {
+    ///
+    /// # Errors
+    /// No port, no processes, or no state.
+    pub async fn processes(workers: u32, threads: u32, isa: Isa, state: Option<PathBuf>) -> anyhow::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").await.context("no port on loopback can be had")?;
         let address = listener.local_addr()?.to_string();
         let (shutdown, connector) = (CancellationToken::new(), Connector::tcp(&address)?);
-        let opened = open(config(render.state.clone())).await?;
+        let opened = open(config(state)).await?;
         let closing = shutdown.clone();
         let incoming = tcp_incoming(listener);
         let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
-        let children = Children::start(workers, &Spec { address, threads, isa: render.isa })?;
+        let children = Children::start(workers, &Spec { address, threads, isa })?;
         Ok(Self { connector, coordinator, workers: Workers::Processes(children), shutdown })
     }
 
@@ -143,7 +154,7 @@ impl Cluster {
         render: &Render,
         report: &mut Report,
         stop: &CancellationToken,
-    ) -> anyhow::Result<JobId> {
+    ) -> anyhow::Result<Vec<JobId>> {
         let workers_hold_scene = to_upload.is_none();
         let client = Client::connect(&self.connector).await?;
         if let Some(scene) = to_upload {
@@ -151,10 +162,10 @@ impl Cluster {
         }
         let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
         let samples = vec![ready.samples.clone()];
-        let job = JobSpec { scene, settings, tile: render.tile, samples, name: name(ready), workers_hold_scene };
-        let known = if render.state.is_some() { begun(&client, &job).await? } else { None };
-        let order = Order { job, known, keep: render.state.is_some() };
-        follow(&client, ready, order, &render.output, report, stop, async || self.news().await).await
+        let job = JobSpec { scene, settings, tile: render.tile, samples, name: String::new(), workers_hold_scene };
+        let mut line = Line::new(&client, ready, &render.output, stop, async || self.news().await);
+        line.keep = render.state.is_some();
+        follow(line, render.goal, job, report).await
     }
 
     /// Waits until something is wrong. Asking may be broken off.
@@ -172,7 +183,7 @@ impl Cluster {
     }
 
     /// Workers first: they say goodbye to a coordinator that is still there.
-    async fn end(self) {
+    pub async fn end(self) {
         match self.workers {
             Workers::Here(worker) => {
                 self.shutdown.cancel();
@@ -186,31 +197,6 @@ impl Cluster {
         }
         let _ = self.coordinator.await;
     }
-}
-
-/// What a job is called in a state: its samples are part of what it is.
-fn name(ready: &Ready) -> String {
-    format!("samples {}..{}", ready.samples.start, ready.samples.end)
-}
-
-/// The job in the coordinator's state that is this one, begun before.
-async fn begun(client: &Client, job: &JobSpec) -> anyhow::Result<Option<JobId>> {
-    let mut known = None;
-    for other in client.jobs().await? {
-        let same = other.scene == job.scene && other.settings == job.settings && other.name == job.name;
-        match other.state {
-            JobState::Queued | JobState::Running | JobState::Finished if same => known = Some(other.job),
-            JobState::Queued | JobState::Running => bail!(
-                "the folder of --state holds another render ({}, seed {}, {} spp) that is not done: finish it with the command \
-                 it was begun with, or name another folder",
-                other.name,
-                other.settings.seed,
-                other.settings.spp
-            ),
-            JobState::Finished | JobState::Failed(_) | JobState::Cancelled => {}
-        }
-    }
-    Ok(known)
 }
 
 /// Why a part of this process ended that should not have.

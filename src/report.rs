@@ -2,6 +2,7 @@
 
 use crate::kept::Kept;
 use crate::picture::Ready;
+use crate::seek::Goal;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use serde_json::Value;
@@ -9,6 +10,7 @@ use std::io::Write;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use tilecast_core::film::RelativeError;
+use tilecast_core::film::file::Target;
 use tilecast_core::settings::Settings;
 use tilecast_proto::types::Progress;
 
@@ -54,8 +56,12 @@ enum Event<'a> {
         scene: &'a str,
         width: u32,
         height: u32,
-        spp: u32,
-        samples: [u32; 2],
+        /// Absent if an error or a time decides.
+        spp: Option<u32>,
+        target_error: Option<f32>,
+        target_pixel_error: Option<f32>,
+        seconds_target: Option<f64>,
+        samples: Option<[u32; 2]>,
         seed: u64,
         settings: &'a Settings,
         output: &'a str,
@@ -111,12 +117,14 @@ pub struct Report {
     bar: ProgressBar,
     /// When progress was told last, and which fraction it was.
     told: (Instant, f64),
+    /// Samples that earlier jobs of the same image have made, and how many it will take in all.
+    expected: (u64, Option<u64>),
 }
 
 impl Report {
     /// Nothing told yet.
     pub fn new(style: Style) -> Self {
-        Self { style, bar: ProgressBar::hidden(), told: (Instant::now(), 0.0) }
+        Self { style, bar: ProgressBar::hidden(), told: (Instant::now(), 0.0), expected: (0, None) }
     }
 
     /// A coordinator serves.
@@ -146,24 +154,36 @@ impl Report {
     }
 
     /// Rendering begins.
-    pub fn started(&mut self, ready: &Ready, output: &Path) {
+    pub fn started(&mut self, ready: &Ready, goal: Goal, output: &Path) {
         let Ready { settings, samples, .. } = ready;
         let Settings { film, spp, seed, .. } = settings;
+        let counted = goal == Goal::Samples;
         let (width, height) = (film.crop.width(), film.crop.height());
         let (scene, output) = (ready.blobs.digest.to_string(), output.display().to_string());
         let event = Event::Started {
             scene: &scene,
             width,
             height,
-            spp: *spp,
-            samples: [samples.start, samples.end],
+            spp: counted.then_some(*spp),
+            target_error: if let Goal::Error(Target::Image(error)) = goal { Some(error) } else { None },
+            target_pixel_error: if let Goal::Error(Target::Pixels(error)) = goal { Some(error) } else { None },
+            seconds_target: if let Goal::Time(time) = goal { Some(time.as_secs_f64()) } else { None },
+            samples: counted.then_some([samples.start, samples.end]),
             seed: *seed,
             settings,
             output: &output,
         };
-        self.say(&event, || match samples.start {
-            0 => format!("rendering {width}x{height} pixels, {spp} samples each"),
-            start => format!("rendering {width}x{height} pixels, samples {start} to {} each", samples.end),
+        self.say(&event, || {
+            let until = match (goal, samples.start) {
+                (Goal::Samples, 0) => format!("{spp} samples each"),
+                (Goal::Samples, start) => format!("samples {start} to {} each", samples.end),
+                (Goal::Error(Target::Image(error)), _) => format!("to a relative error of {} %", 100.0 * error),
+                (Goal::Error(Target::Pixels(error)), _) => {
+                    format!("until 95 % of them are known to {} %", 100.0 * error)
+                }
+                (Goal::Time(time), _) => format!("for {}", duration(time.as_secs_f64())),
+            };
+            format!("rendering {width}x{height} pixels, {until}")
         });
         if self.style == Style::Bar {
             let style = ProgressStyle::with_template("{bar:40} {msg}").unwrap_or_else(|_| ProgressStyle::default_bar());
@@ -171,11 +191,19 @@ impl Report {
         }
     }
 
+    /// Another job for the same image begins; `before` samples are done, `total` are expected in the end.
+    pub fn expect(&mut self, before: f64, total: Option<f64>) {
+        self.expected = (before as u64, total.map(|total| total as u64));
+    }
+
     /// Some more is done.
     pub fn progress(&mut self, progress: &Progress) {
-        let &Progress { samples_done, samples_total, workers, relative_error, .. } = progress;
-        let fraction = samples_done as f64 / samples_total as f64;
+        let &Progress { workers, relative_error, .. } = progress;
         let rate = rate(progress);
+        let (before, expected) = self.expected;
+        let samples_done = before + progress.samples_done;
+        let samples_total = expected.unwrap_or(0).max(before + progress.samples_total);
+        let fraction = samples_done as f64 / samples_total as f64;
         let left = (rate > 0.0).then(|| (samples_total - samples_done.min(samples_total)) as f64 / rate);
         let (pause, step) = (self.told.0.elapsed(), fraction - self.told.1);
         let due = match self.style {

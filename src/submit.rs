@@ -1,9 +1,10 @@
 //! `tilecast submit`: sends a scene to a coordinator, waits for the image, and writes it here.
 
-use crate::follow::{Order, follow};
+use crate::follow::{Line, follow};
 use crate::output::Output;
 use crate::picture::Picture;
 use crate::report::{Report, Style};
+use crate::seek::Goal;
 use crate::stop::{on_signal, unless_stopped};
 use anyhow::Context;
 use std::sync::Arc;
@@ -16,6 +17,8 @@ use tilecast_proto::types::JobSpec;
 pub struct Submit {
     /// What.
     pub picture: Picture,
+    /// When it is done.
+    pub goal: Goal,
     /// Where.
     pub connector: Connector,
     /// Where to.
@@ -43,10 +46,8 @@ pub async fn run(submit: Submit) -> anyhow::Result<()> {
     let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
     let samples = vec![ready.samples.clone()];
     let job = JobSpec { scene, settings, tile: submit.tile, samples, name, workers_hold_scene: false };
-    let no_news = async || std::future::pending().await;
-    follow(&client, &ready, Order { job, known: None, keep: false }, &submit.output, &mut report, &stop, no_news)
-        .await
-        .map(|_| ())
+    let line = Line::new(&client, &ready, &submit.output, &stop, async || std::future::pending().await);
+    follow(line, submit.goal, job, &mut report).await.map(|_| ())
 }
 
 /// The scene's file name, as far as a job's name may be long.

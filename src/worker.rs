@@ -44,7 +44,7 @@ pub async fn run(worker: Worker) -> anyhow::Result<()> {
             std::process::exit(0);
         });
     }
-    let config = WorkerConfig { threads, isa, name, host: host(), drain: DRAIN };
+    let config = WorkerConfig { threads, isa, name, host: host(), cpu: cpu(), drain: DRAIN };
     let time_is_up = async {
         match lifetime {
             Some(lifetime) => tokio::time::sleep(lifetime.saturating_sub(DRAIN)).await,
@@ -62,9 +62,17 @@ pub async fn run(worker: Worker) -> anyhow::Result<()> {
 }
 
 /// This machine's name, for people; empty where it cannot be had.
-fn host() -> String {
+pub fn host() -> String {
     let from_system = std::fs::read_to_string("/proc/sys/kernel/hostname").ok();
     let from_environment = || std::env::var("HOSTNAME").or_else(|_| std::env::var("COMPUTERNAME")).ok();
     let name = from_system.or_else(from_environment).unwrap_or_default();
     name.trim().chars().take(NAME_BYTES_MAX / 4).collect()
+}
+
+/// This machine's processor, likewise.
+pub fn cpu() -> String {
+    let facts = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = facts.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    let name = model.map_or(std::env::consts::ARCH, |(_, name)| name.trim());
+    name.chars().take(NAME_BYTES_MAX / 4).collect()
 }

@@ -157,7 +157,7 @@ impl Films {
             return Ok(());
         }
         let engine = tilecast_core::VERSION.to_owned();
-        let head = Head { engine, scene: spec.scene, settings: spec.settings.clone() };
+        let head = Head { engine, scene: spec.scene, settings: spec.settings.clone(), target: None };
         let mut snapshot = store.begin_snapshot(job, &head)?;
         let tiles = lock(&canvas).tiles();
         for tile in 0..tiles {

@@ -293,6 +293,7 @@ impl Ledger {
                     }
                     open.leases.push((id, fence));
                 }
+                job.lent_to(now, id, &worker.info);
                 worker.leases.insert(fence, Held { job: job_id, unit: key, deadline: now + LEASE_SILENCE, audit });
                 // One that came back may be larger than what would be cut now: it takes a slot none the less.
                 given += (unit.len() as f64 / size as f64).min(1.0);

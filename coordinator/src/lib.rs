@@ -11,10 +11,12 @@ pub mod films;
 pub mod incoming;
 pub mod ledger;
 pub mod plan;
+pub mod scaling;
 mod service;
 #[cfg(test)]
 mod sim;
 pub mod store;
+pub mod target;
 
 use access::{Gate, Role, Security};
 use disk::Disk;

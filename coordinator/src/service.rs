@@ -174,6 +174,7 @@ impl Shared {
 
     /// Checks, counts and merges a result. Decoding and adding take a few milliseconds: not for an async thread.
     pub(crate) fn merge(&self, header: &ResultHeader, bytes: Bytes) -> Result<Verdict, Status> {
+        let begun = Instant::now();
         let sums = match header.sums(&bytes) {
             Ok(sums) => sums,
             Err(error) => {
@@ -200,7 +201,10 @@ impl Shared {
                     let error = self.films.relative_error(job);
                     self.with_ledger(|ledger, _| ledger.set_relative_error(job, error));
                 }
-                self.with_ledger(|ledger, now| ledger.merged(now, job));
+                self.with_ledger(|ledger, now| {
+                    ledger.merge_took(job, begun.elapsed());
+                    ledger.merged(now, job);
+                });
             } else {
                 self.with_ledger(|ledger, now| ledger.unmerged(now, &header.unit));
             }

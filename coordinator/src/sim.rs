@@ -168,6 +168,7 @@ impl<'a> Sim<'a> {
                 host: String::new(),
                 pid: 1,
                 name: String::new(),
+                cpu: String::new(),
                 instance,
             };
             let registered = self.session().0.with_ledger(|ledger, now| ledger.register(now, info)).ok();

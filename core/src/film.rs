@@ -14,7 +14,7 @@ pub mod records;
 pub mod sums;
 
 use crate::scene::Digest;
-use crate::settings::{Settings, Window};
+use crate::settings::{Half, Settings, Window};
 use glam::Vec3;
 use std::ops::Range;
 
@@ -90,6 +90,12 @@ impl PixelSums {
         }
     }
 
+    /// Forgets the replicates that are not of a half.
+    pub fn keep(&mut self, half: Half) {
+        let kept = half.replicates();
+        (0..REPLICATES).filter(|r| !kept.contains(r)).for_each(|r| self.0[r] = [0; 3]);
+    }
+
     /// Undoes [`PixelSums::merge`], exactly.
     pub fn remove(&mut self, other: &PixelSums) {
         for (mine, theirs) in self.0.iter_mut().flatten().zip(other.0.iter().flatten()) {
@@ -159,6 +165,10 @@ pub struct Film {
     pub window: Window,
     /// See [`Settings::scale_exponent`].
     pub scale_exponent: i32,
+    /// The replicates that what is merged belongs to, see [`Settings::half`].
+    pub half: Half,
+    /// The image is the mean of the means of both halves, whatever samples each has; else the mean of all samples.
+    pub halves: bool,
     sums: Vec<PixelSums>,
     counts: Vec<[u32; REPLICATES]>,
 }
@@ -196,6 +206,8 @@ impl Film {
         Self {
             window,
             scale_exponent: settings.scale_exponent,
+            half: settings.half,
+            halves: false,
             sums: vec![PixelSums::default(); len],
             counts: vec![[0; REPLICATES]; len],
         }
@@ -209,7 +221,7 @@ impl Film {
 
     /// Adds the sums of several disjoint sample ranges of a tile.
     pub fn add(&mut self, tile: Window, samples: &[Range<u32>], pixels: &[PixelSums]) {
-        let counts = counts(samples);
+        let counts = counts(samples, self.half);
         self.change(tile, pixels, |sums, count, pixel| {
             sums.merge(pixel);
             count.iter_mut().zip(counts).for_each(|(c, n)| *c += n);
@@ -218,7 +230,7 @@ impl Film {
 
     /// Takes out what [`Film::add`] added: what is left is, to the bit, what would be there without it.
     pub fn remove(&mut self, tile: Window, samples: &[Range<u32>], pixels: &[PixelSums]) {
-        let counts = counts(samples);
+        let counts = counts(samples, self.half);
         self.change(tile, pixels, |sums, count, pixel| {
             sums.remove(pixel);
             count.iter_mut().zip(counts).for_each(|(c, n)| *c -= n);
@@ -266,8 +278,31 @@ impl Film {
 
     /// Mean, variance of the mean, and count of the pixel (x, y) of the whole picture.
     pub fn estimate(&self, x: u32, y: u32) -> Estimate {
+        let whole = self.half_estimate(x, y, Half::Both);
+        let [a, b] = [Half::First, Half::Second].map(|half| self.half_estimate(x, y, half));
+        if !self.halves || a.count == 0 || b.count == 0 {
+            return whole;
+        }
         let i = self.index(x, y);
-        let (sums, counts) = (&self.sums[i].0, &self.counts[i]);
+        let mean = |half: Half, c: usize| {
+            let (sum, count) = half
+                .replicates()
+                .fold((0, 0), |(sum, count), r| (sum + self.sums[i].0[r][c], count + u64::from(self.counts[i][r])));
+            scale_down(sum as f64 / count as f64, self.scale_exponent)
+        };
+        // Rounded to f64 on the way, to f32 once.
+        let mean = std::array::from_fn(|c| (0.5 * (mean(Half::First, c) + mean(Half::Second, c))) as f32);
+        let variance = std::array::from_fn(|c| 0.25 * (a.variance[c] + b.variance[c]));
+        Estimate { mean, variance, count: whole.count }
+    }
+
+    /// The same from the replicates of a half alone.
+    pub fn half_estimate(&self, x: u32, y: u32, half: Half) -> Estimate {
+        let (i, replicates) = (self.index(x, y), half.replicates());
+        let (mut sums, mut counts) = ([[0; 3]; REPLICATES], [0; REPLICATES]);
+        sums[replicates.clone()].copy_from_slice(&self.sums[i].0[replicates.clone()]);
+        counts[replicates.clone()].copy_from_slice(&self.counts[i][replicates]);
+        let (sums, counts) = (&sums, &counts);
         let count: u64 = counts.iter().map(|&c| u64::from(c)).sum();
         let channel = |c: usize| {
             let total: i128 = sums.iter().map(|s| s[c]).sum();
@@ -302,6 +337,9 @@ impl Film {
             hasher.update(&word.to_le_bytes());
         }
         hasher.update(&self.scale_exponent.to_le_bytes());
+        if self.halves {
+            hasher.update(b"halves");
+        }
         let mut row = Vec::new();
         for (sums, counts) in self.sums.iter().zip(&self.counts) {
             row.clear();
@@ -336,7 +374,7 @@ impl Film {
         };
         let fills = sums.len() as u64 == window.area() && counts.len() as u64 == window.area();
         let valid = fills && sums.iter().zip(&counts).all(bounded);
-        valid.then_some(Self { window, scale_exponent, sums, counts })
+        valid.then_some(Self { window, scale_exponent, half: Half::Both, halves: false, sums, counts })
     }
 
     /// The estimated relative error of the picture over at most `pixels_max` pixels spread evenly; `None` while too few
@@ -360,7 +398,8 @@ impl Film {
         let value = (error / power).sqrt();
         // A variance v estimated with ν degrees of freedom itself has the variance 2v²/ν, of which v̂² · 2/(ν + 2) is the unbiased
         // estimate; pixels that were left out add how much the others differ.
-        let of_estimates = squares * 2.0 / (REPLICATES as f64 + 1.0);
+        let freedom = if self.halves { REPLICATES - 2 } else { REPLICATES - 1 };
+        let of_estimates = squares * 2.0 / (freedom as f64 + 2.0);
         let of_pixels = (squares - error * error / n).max(0.0) * n / (n - 1.0).max(1.0);
         let seen = n / area as f64;
         let deviation = (seen * of_estimates + (1.0 - seen) * of_pixels).sqrt();
@@ -375,14 +414,21 @@ impl Film {
 }
 
 /// How many indices of disjoint ranges fall to each replicate.
-fn counts(samples: &[Range<u32>]) -> [u32; REPLICATES] {
-    samples.iter().map(replicate_counts).fold([0; REPLICATES], |a, b| std::array::from_fn(|r| a[r] + b[r]))
+fn counts(samples: &[Range<u32>], half: Half) -> [u32; REPLICATES] {
+    samples
+        .iter()
+        .map(|range| replicate_counts(range, half.replicates()))
+        .fold([0; REPLICATES], |a, b| std::array::from_fn(|r| a[r] + b[r]))
 }
 
 /// How many indices of a range fall to each replicate.
-fn replicate_counts(samples: &Range<u32>) -> [u32; REPLICATES] {
-    let below = |end: u32, r: usize| (end as usize + REPLICATES - 1 - r) / REPLICATES;
-    std::array::from_fn(|r| (below(samples.end, r) - below(samples.start, r)) as u32)
+fn replicate_counts(samples: &Range<u32>, replicates: Range<usize>) -> [u32; REPLICATES] {
+    let below = |end: u32, place: usize| (end as usize + replicates.len() - 1 - place) / replicates.len();
+    let mut counts = [0; REPLICATES];
+    for (place, count) in counts[replicates.clone()].iter_mut().enumerate() {
+        *count = (below(samples.end, place) - below(samples.start, place)) as u32;
+    }
+    counts
 }
 
 /// sum / (count · 2^scale), rounded once to f32 (nearest, ties to even), as long as the result is a normal number.
@@ -417,6 +463,8 @@ mod tests {
         Film {
             window,
             scale_exponent: scale_exponent(brightest),
+            half: Half::Both,
+            halves: false,
             sums: vec![PixelSums::default(); len],
             counts: vec![[0; REPLICATES]; len],
         }
@@ -469,6 +517,30 @@ mod tests {
         assert_eq!(estimate.mean, [2.5; 3]);
         // Sample variance 5/3 over 4 replicates.
         assert!((estimate.variance[0] - 5.0 / 12.0).abs() < 1e-7);
+    }
+
+    /// Both halves' samples are those of the whole, and the mean of halves of different sizes weighs them equally.
+    #[test]
+    fn halves_make_the_whole() {
+        let value = |i: u32| Vec3::new(i as f32, 1.0 / (1 + i) as f32, 2.0);
+        let traced = |half: Half, own: Range<u32>| {
+            let mut film = Film { half, ..film(1, 1, 8.0) };
+            let mut part = TileSums::new(film.window, own.clone());
+            own.for_each(|own| {
+                let index = half.index(own);
+                part.pixels[0].add(index, value(index), film.scale_exponent).unwrap();
+            });
+            film.merge(&part);
+            film
+        };
+        let mut joined = traced(Half::First, 0..8);
+        joined.join(&traced(Half::Second, 0..8));
+        assert_eq!(Film { half: Half::Both, ..joined.clone() }, traced(Half::Both, 0..16));
+        joined.join(&traced(Half::First, 8..20));
+        joined.halves = true;
+        let mean = |half: Half, n: u32| (0..n).map(|own| half.index(own) as f32).sum::<f32>() / n as f32;
+        assert_eq!(joined.estimate(0, 0).mean[0], 0.5 * (mean(Half::First, 20) + mean(Half::Second, 8)));
+        assert_eq!(joined.estimate(0, 0).count, 28);
     }
 
     proptest! {

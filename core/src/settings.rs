@@ -23,6 +23,9 @@ pub struct Settings {
     /// What saves work and shall not.
     #[serde(default)]
     pub without: Without,
+    /// Which of a pixel's replicates are sampled.
+    #[serde(default)]
+    pub half: Half,
     /// Binary exponent of the film's fixed point: a radiance r is stored as round(r · 2^scale_exponent).
     pub scale_exponent: i32,
 }
@@ -37,6 +40,40 @@ pub struct Without {
     pub early_roulette: bool,
     /// The last ray of a path is not traced where no light lies on it. The image is the same to the bit.
     pub blind_ends: bool,
+}
+
+/// Which of a pixel's replicates are sampled. The halves of an image are independent of each other: what one of them shows may
+/// decide how many samples the other one gets (docs/adaptive.md).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Half {
+    /// All four.
+    #[default]
+    Both,
+    /// The first two: of four samples in a row the first two.
+    First,
+    /// The last two.
+    Second,
+}
+
+impl Half {
+    /// The index, among all samples of a pixel, of this half's own sample number `own`.
+    #[inline]
+    pub fn index(self, own: u32) -> u32 {
+        match self {
+            Half::Both => own,
+            Half::First => own / 2 * 4 + own % 2,
+            Half::Second => own / 2 * 4 + own % 2 + 2,
+        }
+    }
+
+    /// Its replicates.
+    pub fn replicates(self) -> std::ops::Range<usize> {
+        match self {
+            Half::Both => 0..4,
+            Half::First => 0..2,
+            Half::Second => 2..4,
+        }
+    }
 }
 
 /// The picture's geometry.
@@ -79,6 +116,13 @@ impl Window {
     /// Pixels.
     pub fn area(&self) -> u64 {
         u64::from(self.width()) * u64::from(self.height())
+    }
+
+    /// The pixels that are in both, if there are any.
+    pub fn intersection(&self, other: &Window) -> Option<Window> {
+        let (x0, y0) = (self.x0.max(other.x0), self.y0.max(other.y0));
+        let (x1, y1) = (self.x1.min(other.x1), self.y1.min(other.y1));
+        (x0 < x1 && y0 < y1).then_some(Window { x0, y0, x1, y1 })
     }
 
     /// Whether every pixel of `other` is one of this window's.
@@ -183,6 +227,9 @@ pub enum SettingsError {
     /// Fewer than one sample a pixel.
     #[error("0 samples a pixel make no picture; ask for at least 1")]
     NoSamples,
+    /// More samples of a half than there are.
+    #[error("half of the replicates can have at most 2^31 samples a pixel, not {0}")]
+    HalfSamples(u32),
     /// A depth that sees nothing.
     #[error("a maximum depth of 0 sees nothing; 1 sees emitters, 2 direct light, leave it out for all light")]
     NoDepth,
@@ -233,6 +280,8 @@ impl Settings {
             Err(SettingsError::Crop(*crop))
         } else if self.spp == 0 {
             Err(SettingsError::NoSamples)
+        } else if self.half != Half::Both && self.spp > 1 << 31 {
+            Err(SettingsError::HalfSamples(self.spp))
         } else if self.integrator.max_depth == Some(0) {
             Err(SettingsError::NoDepth)
         } else if !(radius > 0.0 && radius <= FILTER_RADIUS_MAX) {

@@ -110,13 +110,14 @@ impl Kernel for TraceTile<'_> {
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
         let Self { tracer, tile, samples, stop } = self;
         let (estimator, scale_exponent) = (tracer.estimator(), tracer.settings.scale_exponent);
-        let mut sums = TileSums::new(tile, samples.clone());
+        let (mut sums, half) = (TileSums::new(tile, samples.clone()), tracer.settings.half);
         let positions = (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y)));
         for ((x, y), pixel) in positions.zip(&mut sums.pixels) {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            for index in samples.clone() {
+            for own in samples.clone() {
+                let index = half.index(own);
                 let radiance = tracer.sample(lanes, &estimator, x, y, index, &mut Nobody);
                 pixel.add(index, radiance, scale_exponent).map_err(|error| SampleError { x, y, index, error })?;
             }

@@ -3,7 +3,7 @@
 use crate::convert::{self, FilmParts, WireError};
 use crate::limits::{CALL_MS_MAX, CHUNK_BYTES, DIGESTS_MAX, MESSAGE_BYTES_MAX};
 use crate::transport::{ConnectError, Connector, Line};
-use crate::types::{JobId, JobSpec, Progress, WorkerStatus};
+use crate::types::{Contribution, JobId, JobSpec, Progress, WorkerStatus};
 use crate::version::Version;
 use crate::wire;
 use crate::wire::jobs_client::JobsClient;
@@ -148,6 +148,29 @@ impl Client {
     /// A lost connection.
     pub async fn jobs(&self) -> Result<Vec<Progress>, ClientError> {
         collect(self.rpc().list_jobs(call(wire::ListJobsRequest {})).await?.into_inner()).await
+    }
+
+    /// Who has brought what of these jobs, each worker once.
+    ///
+    /// # Errors
+    /// An unknown job, or a lost connection.
+    pub async fn contributions(&self, jobs: &[JobId]) -> Result<Vec<Contribution>, ClientError> {
+        let mut all: Vec<Contribution> = Vec::new();
+        for &job in jobs {
+            let stream = self.rpc().list_contributions(call(wire::JobId::from(job))).await?.into_inner();
+            for one in collect::<_, Contribution>(stream).await? {
+                match all.iter_mut().find(|known| known.worker == one.worker) {
+                    Some(known) => {
+                        known.units += one.units;
+                        known.samples += one.samples;
+                        known.trace += one.trace;
+                        known.last = one.last;
+                    }
+                    None => all.push(one),
+                }
+            }
+        }
+        Ok(all)
     }
 
     /// The workers that are there.

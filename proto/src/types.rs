@@ -61,6 +61,8 @@ pub struct WorkerInfo {
     pub pid: u32,
     /// What people call it; may be empty.
     pub name: String,
+    /// Its processor; may be empty.
+    pub cpu: String,
     /// Drawn at random when its process began; never 0.
     pub instance: u64,
 }
@@ -253,6 +255,8 @@ pub struct Progress {
     pub scene: Digest,
     /// How it is rendered.
     pub settings: Settings,
+    /// Spent checking and adding up results, by the coordinator's clock.
+    pub merging: Duration,
 }
 
 /// A worker, as the coordinator sees it.
@@ -272,6 +276,25 @@ pub struct WorkerStatus {
     pub samples_per_second: f64,
     /// Since it was last heard of.
     pub silent: Duration,
+}
+
+/// What a worker has brought of a job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Contribution {
+    /// Its number.
+    pub worker: WorkerId,
+    /// What it said of itself.
+    pub info: WorkerInfo,
+    /// Units that counted.
+    pub units: u64,
+    /// Samples of them.
+    pub samples: u64,
+    /// Spent tracing them, over all its threads.
+    pub trace: Duration,
+    /// Its first lease, since the job was queued.
+    pub first: Duration,
+    /// Its last result, likewise.
+    pub last: Duration,
 }
 
 /// A film is coming.

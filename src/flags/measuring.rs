@@ -1,8 +1,10 @@
 //! The flags of `compare` and `bench`.
 
-use super::Usage;
+use super::security::ConnectFlags;
+use super::{CLIENTS, IsaFlags, PictureFlags, StyleFlags, Usage};
 use crate::bench::Bench;
 use crate::compare::Compare;
+use crate::scale::Scale;
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -79,5 +81,60 @@ impl BenchFlags {
             return Err(Usage(format!("{scenes} scenes need as many --reference images, not {references}")).into());
         }
         Ok(Bench { scenes, references, spp_min, spp_max, seeds, out, peer: peer.is_some(), python, flags })
+    }
+}
+
+pub const SCALE_EXAMPLES: &str = "\
+Examples:
+  tilecast scale scene.xml --workers 1,2,4,8 --spp 256          writes scale.csv, .json, .md and .svg
+  tilecast scale scene.xml --workers 1,2 --simulate 10000       and goes on with the real ledger on simulated time
+  tilecast scale scene.xml --connect 10.0.0.1:7878              the workers that there are";
+
+#[derive(Args)]
+pub struct ScaleFlags {
+    #[command(flatten)]
+    picture: PictureFlags,
+    /// Numbers of worker processes to start, one after another
+    #[arg(long, value_name = "N,N,…", value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..=i64::from(super::CHILDREN_MAX)))]
+    workers: Vec<u32>,
+    /// Threads of each
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(tilecast_proto::limits::THREADS_MAX)))]
+    threads: u32,
+    /// Renders with each number, in turn
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
+    repeats: u32,
+    /// Simulates more workers than there are, up to N
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    simulate: Option<u32>,
+    /// Megabytes a second that the coordinator's line carries in the simulation
+    #[arg(long, value_name = "MB/s", default_value_t = 125.0)]
+    line: f64,
+    /// Measures the workers of a coordinator, as many as there are, instead of processes here
+    #[arg(long, value_name = "ADDR", conflicts_with_all = ["workers", "threads"])]
+    connect: Option<String>,
+    /// Folder of certificates for --connect
+    #[arg(long, value_name = "DIR", requires = "connect")]
+    certs: Option<PathBuf>,
+    #[command(flatten)]
+    isa: IsaFlags,
+    /// Beginning of the names of what is written
+    #[arg(long, value_name = "PREFIX", default_value = "scale")]
+    out: PathBuf,
+    #[command(flatten)]
+    style: StyleFlags,
+}
+
+impl ScaleFlags {
+    pub fn ready(self) -> anyhow::Result<Scale> {
+        let Self { workers, threads, repeats, simulate, line, out, .. } = self;
+        if !(line > 0.0 && line.is_finite()) {
+            return Err(Usage(format!("--line {line}: megabytes a second, above 0")).into());
+        }
+        let connector =
+            self.connect.map(|address| ConnectFlags::to(address, self.certs).ready(&CLIENTS)).transpose()?;
+        // What is there is one number of workers.
+        let workers = if connector.is_some() { vec![0] } else { workers };
+        let (picture, isa, style) = (self.picture.ready(), self.isa.ready()?, self.style.ready());
+        Ok(Scale { picture, workers, threads, repeats, simulate, line, connector, isa, out, style })
     }
 }

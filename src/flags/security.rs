@@ -23,6 +23,11 @@ pub struct ConnectFlags {
 }
 
 impl ConnectFlags {
+    /// A coordinator, with the certificates in a folder.
+    pub fn to(connect: String, certs: Option<PathBuf>) -> Self {
+        Self { connect, certs, token_file: None }
+    }
+
     /// The way to the coordinator, for whoever has one of these roles.
     pub fn ready(self, roles: &[Role]) -> anyhow::Result<Connector> {
         let unreadable = |e| Usage(format!("--connect: {e}"));

@@ -118,6 +118,14 @@ pub fn samples(text: &str) -> Result<Range<u32>, String> {
     parsed.filter(|range| !range.is_empty()).ok_or_else(|| "write A..B with A below B, such as 0..4096".into())
 }
 
+/// A relative error, above 0 and below 1.
+pub fn error(text: &str) -> Result<f32, String> {
+    let parsed: Option<f32> = text.parse().ok();
+    parsed
+        .filter(|error| *error > 0.0 && *error < 1.0)
+        .ok_or_else(|| "write a number between 0 and 1: 0.02 is 2 %".into())
+}
+
 /// `NAME=VALUE`.
 pub fn define(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {

@@ -24,7 +24,7 @@ fn json_is_one_object_a_line_and_ends_with_the_digest() {
     assert_eq!(finished["spp"], 6);
     assert!(finished["seconds"].as_f64() > Some(0.0));
     assert!(finished["output"].as_str().unwrap().ends_with("scene.exr"));
-    assert_eq!(folder.names(), ["scene.exr", "scene.film"]);
+    assert_eq!(folder.names(), ["scene.exr", "scene.film", "scene.json"]);
 }
 
 #[test]
@@ -41,9 +41,17 @@ fn people_get_lines_on_stderr_and_quiet_ones_nothing() {
 #[test]
 fn help_and_version_are_no_errors() {
     let folder = Folder::new();
-    for command in
-        [vec![], vec!["render"], vec!["coordinator"], vec!["worker"], vec!["submit"], vec!["info"], vec!["merge"]]
-    {
+    for command in [
+        vec![],
+        vec!["render"],
+        vec!["coordinator"],
+        vec!["worker"],
+        vec!["submit"],
+        vec!["info"],
+        vec!["merge"],
+        vec!["verify"],
+        vec!["scale"],
+    ] {
         let outcome = folder.tilecast(command.iter().chain(&["--help"]));
         assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
         assert!(outcome.stdout.contains("Usage: tilecast"), "{}", outcome.stdout);

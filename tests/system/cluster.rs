@@ -79,6 +79,7 @@ pub fn settings() -> Settings {
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
         without: Without::default(),
+        half: Default::default(),
         scale_exponent: scale_exponent(0.7),
     }
 }
@@ -151,8 +152,14 @@ fn coordinator_with(memory: &Memory, config: Config) -> Running<RunError> {
 
 fn worker(connector: Connector, scenes: SceneCache) -> Running<WorkerError> {
     let (stop, stopped) = oneshot::channel::<()>();
-    let config =
-        WorkerConfig { threads: 1, isa: Isa::detect(), name: "w".into(), host: "here".into(), drain: Duration::ZERO };
+    let config = WorkerConfig {
+        threads: 1,
+        isa: Isa::detect(),
+        name: "w".into(),
+        host: "here".into(),
+        cpu: String::new(),
+        drain: Duration::ZERO,
+    };
     let shutdown = async { _ = stopped.await };
     Running { stop, task: tokio::spawn(tilecast_worker::run(connector, config, Arc::new(scenes), shutdown)) }
 }
@@ -263,6 +270,7 @@ fn hello() -> wire::Hello {
         host: String::new(),
         pid: 0,
         name: String::new(),
+        cpu: String::new(),
         instance: 5,
     }
     .into()

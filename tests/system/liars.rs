@@ -27,6 +27,7 @@ async fn work(memory: Memory, tracer: Arc<Tracer>, instance: u64, lies: bool) ->
         host: String::new(),
         pid: 1,
         name: instance.to_string(),
+        cpu: String::new(),
         instance,
     };
     let mut told = 0;

@@ -131,3 +131,122 @@ fn a_killed_render_goes_on() {
     assert!(begun.end().stderr.contains("the same command goes on"));
     refused(&folder, &["render", &scene, "--spp", "4", "--state", "state", "-o", "c.exr"], "holds another render");
 }
+
+/// Verified as a whole and by parts, topped up or adaptive; what was tampered with is not.
+#[test]
+fn honest_images_are_verified_and_others_are_not() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    folder.render(&scene, SIZE.iter().chain(&["--spp", "6", "-o", "a.exr"]));
+    folder.render(&scene, ["--resume", "a.exr", "--spp", "11"]);
+    folder.render(&scene, SIZE.iter().chain(&["--target-error", "0.15", "--seed", "8", "-o", "t.exr"]));
+    for image in ["a.exr", "t.exr"] {
+        for share in ["1", "0.2"] {
+            let outcome = folder.tilecast(["verify", image, &scene, "--share", share, "--json"]);
+            assert_eq!(outcome.code, Some(0), "{outcome:?}");
+            let told = &outcome.events()[0];
+            assert_eq!((told["agrees"].as_bool(), told["film"].as_bool()), (Some(true), Some(true)), "{told}");
+            assert_eq!(told["units_total"], 20);
+        }
+    }
+    let other = crate::harness::scene("veach-strategies/scene.xml");
+    refused(&folder, &["verify", "a.exr", &other], "the image is of a scene with digest");
+    // Another seed than the one that it was rendered with, in an image without and with its film.
+    let mut bytes = std::fs::read(folder.path("t.exr")).unwrap();
+    for text in ["\"seed\":8", "tilecast:seed"] {
+        let at = bytes.windows(text.len()).position(|window| window == text.as_bytes()).expect(text);
+        if text.starts_with('"') {
+            bytes[at + text.len() - 1] = b'7';
+        }
+    }
+    folder.write("t.exr", &bytes);
+    refused(&folder, &["verify", "t.exr", &scene], "is not the image of the film beside it");
+    let mut bytes = std::fs::read(folder.path("a.exr")).unwrap();
+    let text = b"\"spp\":11,\"seed\":0";
+    let at = bytes.windows(text.len()).position(|window| window == text).expect("settings");
+    bytes[at + text.len() - 1] = b'1';
+    folder.write("forged.exr", &bytes);
+    let outcome = folder.tilecast(["verify", "forged.exr", &scene, "--json"]);
+    assert_eq!((outcome.code, outcome.events()[0]["agrees"].as_bool()), (Some(1), Some(false)), "{outcome:?}");
+}
+
+/// An error decides how many samples each tile gets: the same for any number of workers and threads, also after a kill.
+#[test]
+fn a_target_gives_the_same_bits_whoever_renders() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let with = |more: &[&'static str]| [&["--size", "48x40", "--target-error", "0.05"], more].concat();
+    let alone = folder.render(&scene, with(&["--threads", "1", "-o", "a.exr"]));
+    let together = folder.render(&scene, with(&["--workers", "3", "-o", "b.exr", "--state", "state"]));
+    assert_eq!(alone["digest"], together["digest"]);
+    same(&folder, "a", "b");
+    assert!(alone["relative_error"].as_f64().unwrap() < 0.06, "{alone}");
+    let pixels = folder.render(&scene, ["--size", "48x40", "--target-pixel-error", "0.2", "-o", "c.exr"]);
+    assert_ne!(pixels["digest"], alone["digest"]);
+    let refused_sampler = ["render", &scene, "--target-error", "0.1", "--sampler", "sobol-z", "-o", "d.exr"];
+    refused(&folder, &refused_sampler, "sobol-z");
+    let resumed = ["render", &scene, "--resume", "a.exr", "--spp", "5000"];
+    refused(&folder, &resumed, "not the first ones of every pixel");
+}
+
+#[test]
+fn a_time_is_kept() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let timed = folder.render(&scene, ["--size", "48x40", "--time", "2s", "-o", "a.exr"]);
+    let seconds = timed["seconds"].as_f64().unwrap();
+    // The machine may be busy with other tests.
+    assert!((1.0..8.0).contains(&seconds), "{timed}");
+    let spp = timed["spp"].as_u64().unwrap().to_string();
+    let again = folder.render(&scene, ["--size", "48x40", "--spp", &spp, "-o", "b.exr"]);
+    assert_eq!(again["digest"], timed["digest"], "an even image, that --spp gives again");
+}
+
+/// Written while the render goes on, each whole; and at the end who made it.
+#[test]
+fn pictures_are_refreshed_and_makers_named() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let args =
+        ["render", &scene, "--size", "64x64", "--spp", "1000", "--previews", "-o", "a.exr", "--json", "--workers", "2"];
+    let mut render = folder.start(args);
+    let early = crate::harness::poll("pictures", || {
+        let whole = folder.path("a.error.png").exists() && folder.path("a.png").exists();
+        whole.then(|| std::fs::read(folder.path("a.exr")).expect("an image"))
+    });
+    assert!(!folder.path("a.film").exists(), "in the middle");
+    render.event("finished");
+    let finished = render.end().finished();
+    assert_ne!(std::fs::read(folder.path("a.exr")).unwrap(), early);
+    for name in ["a.png", "a.error.png"] {
+        assert_eq!(image::open(folder.path(name)).unwrap().into_rgb8().dimensions(), (64, 64));
+    }
+    let told: Value = serde_json::from_slice(&std::fs::read(folder.path("a.json")).unwrap()).unwrap();
+    assert_eq!((&told["digest"], &told["samples"]), (&finished["digest"], &Value::from("0..1000")));
+    let workers = told["workers"].as_array().unwrap();
+    let total: u64 = workers.iter().map(|worker| worker["samples"].as_u64().unwrap()).sum();
+    assert_eq!((workers.len(), total), (2, 64 * 64 * 1000));
+    for worker in workers {
+        assert!(worker["units"].as_u64() > Some(0) && worker["trace_seconds"].as_f64() > Some(0.0), "{worker}");
+        assert!(worker["cpu"].as_str().is_some_and(|cpu| !cpu.is_empty()), "{worker}");
+    }
+}
+
+/// Tables and a plot; all digests are equal, or it would have failed.
+#[test]
+fn scaling_is_measured_and_simulated() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let flags = ["--size", "64x64", "--spp", "16", "--workers", "1,2", "--repeats", "1", "--simulate", "64", "--quiet"];
+    let outcome = folder.tilecast(["scale", &scene].iter().chain(&flags));
+    assert_eq!(outcome.code, Some(0), "{outcome:?}");
+    assert_eq!(folder.names(), ["scale.csv", "scale.json", "scale.md", "scale.svg"]);
+    let told: Value = serde_json::from_slice(&std::fs::read(folder.path("scale.json")).unwrap()).unwrap();
+    let rows = told["rows"].as_array().unwrap();
+    let counts: Vec<u64> = rows.iter().map(|row| row["workers"].as_u64().unwrap()).collect();
+    assert_eq!(counts, [1, 2, 4, 8, 16, 32, 64]);
+    for row in rows {
+        let parts = ["tracing", "start", "waiting", "tail"].map(|part| row[part].as_f64().unwrap());
+        assert!((parts.iter().sum::<f64>() - 1.0).abs() < 0.05, "{row}");
+    }
+}

@@ -248,6 +248,7 @@ mod tests {
             strategy: Strategy::Mis,
             sampler: SamplerKind::Sobol,
             without: Without::default(),
+            half: Default::default(),
             scale_exponent,
         };
         Arc::new(Tracer::new(Arc::new(World::compile(&scene)), settings, Isa::Portable).unwrap())

@@ -48,6 +48,8 @@ pub struct WorkerConfig {
     pub name: String,
     /// Its machine, for people.
     pub host: String,
+    /// Its processor, likewise.
+    pub cpu: String,
     /// How long it may finish what it has begun, when it is told to end; the rest it hands back at once.
     pub drain: Duration,
 }
@@ -63,12 +65,12 @@ pub async fn run(
     scenes: Arc<SceneCache>,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), WorkerError> {
-    let WorkerConfig { threads, isa, name, host, drain } = config;
+    let WorkerConfig { threads, isa, name, host, cpu, drain } = config;
     let (pool, mut traced) = Pool::new(threads as usize)?;
     let mut bench = Bench::new(pool, scenes, isa);
     // The number of this worker over all its sessions: random, so that none is another's.
     let instance = RandomState::new().hash_one(std::process::id()).max(1);
-    let info = WorkerInfo { threads, isa: isa.name().to_owned(), host, pid: std::process::id(), name, instance };
+    let info = WorkerInfo { threads, isa: isa.name().to_owned(), host, pid: std::process::id(), name, cpu, instance };
     let backoff = || {
         ExponentialBuilder::default()
             .with_min_delay(RETRY_MIN)

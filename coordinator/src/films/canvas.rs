@@ -96,6 +96,7 @@ impl Canvas {
         let window = self.plan.tile(tile);
         let part = |(&(_, contributor), account): (&(u32, Contributor), &Account)| Part {
             tile: window,
+            half: self.film.half,
             samples: account.samples.clone(),
             pixels: if contributor == ANYBODY { self.unattributed(tile) } else { account.pixels.clone() },
             contributor,
@@ -115,7 +116,7 @@ impl Canvas {
     /// Adds a piece of the film as it was kept; one that is there already, or cannot be of this film, changes nothing.
     pub fn restore(&mut self, piece: Piece) {
         match piece {
-            Piece::Part(Part { tile, samples, pixels, contributor }) => {
+            Piece::Part(Part { tile, samples, pixels, contributor, .. }) => {
                 let Some(index) = self.plan.index_of(&tile) else { return };
                 if samples.as_slice().iter().any(|range| self.has_any(index, range)) {
                     return;

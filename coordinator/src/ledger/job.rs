@@ -6,14 +6,16 @@
 
 use super::audit::Audits;
 use crate::plan::Plan;
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::REPLICATES;
 use tilecast_core::film::RelativeError;
 use tilecast_core::film::ranges::Ranges;
 use tilecast_core::scene::Digest;
-use tilecast_proto::types::{Fence, JobSpec, JobState, Unit, Verdict, WorkerId};
+use tilecast_proto::types::{
+    Contribution, Fence, JobSpec, JobState, ResultHeader, Unit, Verdict, WorkerId, WorkerInfo,
+};
 
 /// Times of so many units say what is usual.
 const TIMES_KEPT: usize = 64;
@@ -85,6 +87,10 @@ pub(super) struct Job {
     totals: Vec<u64>,
     /// Units counted here whose sums are not in the film yet.
     pub merging: u32,
+    /// Spent checking and adding up results.
+    pub merge_time: Duration,
+    /// By whoever was lent something of it.
+    pub contributions: BTreeMap<WorkerId, Contribution>,
     /// Samples a second on one thread, by worker.
     pub rates: HashMap<WorkerId, f64>,
     /// From lease to result, of the last units.
@@ -117,6 +123,8 @@ impl Job {
             samples_total: totals.last().copied().unwrap_or(0),
             totals,
             merging: 0,
+            merge_time: Duration::ZERO,
+            contributions: BTreeMap::new(),
             rates: HashMap::new(),
             times: VecDeque::new(),
             barred: HashSet::new(),
@@ -290,6 +298,30 @@ impl Job {
         self.samples_done += unit.len();
         self.merging += 1;
         open
+    }
+
+    /// Notes that a worker gets something of the job.
+    pub fn lent_to(&mut self, now: Duration, worker: WorkerId, info: &WorkerInfo) {
+        let since = now.saturating_sub(self.queued_at);
+        self.contributions.entry(worker).or_insert_with(|| Contribution {
+            worker,
+            info: info.clone(),
+            units: 0,
+            samples: 0,
+            trace: Duration::ZERO,
+            first: since,
+            last: since,
+        });
+    }
+
+    /// Notes that a worker has brought what counts.
+    pub fn brought(&mut self, now: Duration, header: &ResultHeader) {
+        if let Some(contribution) = self.contributions.get_mut(&header.worker) {
+            contribution.units += 1;
+            contribution.samples += header.unit.len();
+            contribution.trace += header.trace;
+            contribution.last = now.saturating_sub(self.queued_at);
+        }
     }
 
     /// Takes counted samples out again: they wait to be done anew.

@@ -2,7 +2,7 @@
 
 use super::{Ledger, LedgerError, Worker};
 use std::time::Duration;
-use tilecast_proto::types::{JobId, Progress, WorkerId, WorkerStatus};
+use tilecast_proto::types::{Contribution, JobId, Progress, WorkerId, WorkerStatus};
 
 impl Ledger {
     /// Where a job stands.
@@ -25,7 +25,17 @@ impl Ledger {
             running: job.started_at.map_or(Duration::ZERO, |start| until.saturating_sub(start)),
             scene: job.spec.scene,
             settings: job.spec.settings.clone(),
+            merging: job.merge_time,
         })
+    }
+
+    /// Who has brought what of a job since this ledger was made.
+    ///
+    /// # Errors
+    /// An unknown job.
+    pub fn contributions(&self, id: JobId) -> Result<Vec<Contribution>, LedgerError> {
+        let job = self.jobs.get(&id).ok_or(LedgerError::UnknownJob(id))?;
+        Ok(job.contributions.values().cloned().collect())
     }
 
     /// All jobs it remembers, oldest first.

@@ -58,6 +58,7 @@ impl Ledger {
         };
         let rounds = job.rounds_done();
         let open = job.count(now, unit);
+        job.brought(now, header);
         let rate = unit.len() as f64 / header.trace.as_secs_f64().max(1e-6);
         if let Some(worker) = self.workers.get_mut(&header.worker) {
             worker.units_done += 1;
@@ -136,6 +137,13 @@ impl Ledger {
         let tile = self.jobs.get(&unit.job).and_then(|job| job.plan.index_of(&unit.tile));
         let units: Vec<(u32, Range<u32>)> = tile.map(|tile| (tile, unit.samples.clone())).into_iter().collect();
         self.recalled(now, unit.job, &units);
+    }
+
+    /// Notes what checking and adding up a result has taken.
+    pub fn merge_took(&mut self, id: JobId, time: Duration) {
+        if let Some(job) = self.jobs.get_mut(&id) {
+            job.merge_time += time;
+        }
     }
 
     /// The sums of an accepted result are in the film.

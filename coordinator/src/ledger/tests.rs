@@ -17,6 +17,7 @@ pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
         strategy: Directions::Mis,
         sampler: SamplerKind::Sobol,
         without: Without::default(),
+        half: Default::default(),
         scale_exponent: 60,
     }
 }
@@ -33,7 +34,15 @@ fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
 }
 
 fn info(threads: u32) -> WorkerInfo {
-    WorkerInfo { threads, isa: String::new(), host: "h".into(), pid: 1, name: "w".into(), instance: 7 }
+    WorkerInfo {
+        threads,
+        isa: String::new(),
+        host: "h".into(),
+        pid: 1,
+        name: "w".into(),
+        cpu: String::new(),
+        instance: 7,
+    }
 }
 
 /// A ledger, the time, and how often each sample of each pixel has been counted.

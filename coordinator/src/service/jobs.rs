@@ -35,6 +35,7 @@ impl jobs_server::Jobs for Jobs {
     type FetchFilmStream = ReceiverStream<Result<wire::FilmChunk, Status>>;
     type ListJobsStream = Items<wire::Progress>;
     type ListWorkersStream = Items<wire::Worker>;
+    type ListContributionsStream = Items<wire::Contribution>;
 
     async fn greet(&self, request: Request<wire::Version>) -> Result<Response<wire::Version>, Status> {
         convert::version(Some(request.into_inner()))?.check()?;
@@ -111,6 +112,15 @@ impl jobs_server::Jobs for Jobs {
             jobs.into_iter().filter_map(|job| ledger.progress(now, job).ok()).collect()
         });
         Ok(Response::new(Box::pin(tokio_stream::iter(jobs.into_iter().map(|job| Ok(job.into()))))))
+    }
+
+    async fn list_contributions(
+        &self,
+        request: Request<wire::JobId>,
+    ) -> Result<Response<Self::ListContributionsStream>, Status> {
+        let job = JobId::from(request.into_inner());
+        let all = self.0.with_ledger(|ledger, _| ledger.contributions(job))?;
+        Ok(Response::new(Box::pin(tokio_stream::iter(all.into_iter().map(|one| Ok(one.into()))))))
     }
 
     async fn list_workers(

@@ -80,6 +80,7 @@ impl Session {
             host: String::new(),
             pid: 1,
             name: String::new(),
+            cpu: String::new(),
             instance: 3,
         };
         let worker = self.0.with_ledger(|ledger, now| ledger.register(now, info)).unwrap();

@@ -9,12 +9,12 @@ use super::ranges::Ranges;
 use super::records::{Kind, RecordError, RecordReader, RecordWriter};
 use super::{Film, PixelSums, bounded, sums};
 use crate::scene::Digest;
-use crate::settings::{Settings, SettingsError, Window};
+use crate::settings::{Half, Settings, SettingsError, Window};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Read, Write};
 use std::ops::Range;
 
-const KIND: Kind = *b"tilecast film 01";
+const KIND: Kind = *b"tilecast film 02";
 /// Pixels of a part, so that its record stays within [`super::records::RECORD_BYTES_MAX`].
 pub const PART_PIXELS_MAX: u64 = 1 << 16;
 /// Sample ranges of a part; a film in the making has a few, one that was patched together some more.
@@ -29,6 +29,18 @@ pub struct Head {
     pub scene: Digest,
     /// Everything else. The ranges of the parts say which samples are there; `spp` is what was asked for.
     pub settings: Settings,
+    /// What decided how many samples each tile has; `None` if they were asked for. With it the image is the mean of the
+    /// means of both halves.
+    pub target: Option<Target>,
+}
+
+/// An error at which an image is done.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Target {
+    /// The relative error of the whole, see [`Film::relative_error`].
+    Image(f32),
+    /// In 95 % of the picture, the error of a pixel relative to its mean.
+    Pixels(f32),
 }
 
 /// The sums of a tile.
@@ -36,6 +48,8 @@ pub struct Head {
 pub struct Part {
     /// Its pixels: at most [`PART_PIXELS_MAX`], within the crop window.
     pub tile: Window,
+    /// The replicates they belong to; indices are that half's own.
+    pub half: Half,
     /// The sample indices that every pixel of it has received.
     pub samples: Ranges,
     /// Row by row.
@@ -47,6 +61,7 @@ pub struct Part {
 #[derive(Serialize, Deserialize)]
 struct PartHead {
     tile: Window,
+    half: Half,
     samples: Vec<Range<u32>>,
     contributor: u64,
 }
@@ -77,6 +92,9 @@ pub enum FilmFileError {
     /// Settings out of range.
     #[error("its settings are invalid: {0}")]
     Settings(#[from] SettingsError),
+    /// Indices of the two kinds cannot be compared.
+    #[error("it has samples of halves and of all replicates, and nobody can say which are the same")]
+    Mixed,
     /// The same samples twice.
     #[error("it has samples {samples:?} of tile {tile:?} twice")]
     Overlap {
@@ -111,8 +129,9 @@ impl<W: Write> FilmWriter<W> {
     /// # Errors
     /// Whatever `out` fails with.
     pub fn part(&mut self, part: &Part) -> io::Result<()> {
-        let Part { tile, samples, pixels, contributor } = part;
-        let head = PartHead { tile: *tile, samples: samples.as_slice().to_vec(), contributor: *contributor };
+        let Part { tile, half, samples, pixels, contributor } = part;
+        let samples = samples.as_slice().to_vec();
+        let head = PartHead { tile: *tile, half: *half, samples, contributor: *contributor };
         let mut payload = tagged(TAG_PART, &head)?;
         payload.append(&mut sums::encode(pixels));
         self.parts += 1;
@@ -179,14 +198,14 @@ fn whole<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Option<T> {
 }
 
 fn part(bytes: &[u8], settings: &Settings) -> Option<Part> {
-    let (PartHead { tile, samples, contributor }, rest) = postcard::take_from_bytes(bytes).ok()?;
+    let (PartHead { tile, half, samples, contributor }, rest) = postcard::take_from_bytes(bytes).ok()?;
     let filled = tile.x0 < tile.x1 && tile.y0 < tile.y1 && settings.film.crop.contains(&tile);
     if !filled || tile.area() > PART_PIXELS_MAX || samples.is_empty() || samples.len() > PART_RANGES_MAX {
         return None;
     }
     let samples = Ranges::from_sorted(samples)?;
     let pixels = sums::decode(rest, usize::try_from(tile.area()).ok()?).ok()?;
-    bounded(tile, samples.count(), &pixels).then_some(Part { tile, samples, pixels, contributor })
+    bounded(tile, samples.count(), &pixels).then_some(Part { tile, half, samples, pixels, contributor })
 }
 
 /// Adds parts up to a film.
@@ -194,11 +213,20 @@ fn part(bytes: &[u8], settings: &Settings) -> Option<Part> {
 /// # Errors
 /// A sample of a pixel that two parts have.
 pub fn assemble(settings: &Settings, parts: &[Part]) -> Result<Film, FilmFileError> {
-    if let Some((tile, samples)) = overlap(parts.iter().map(|part| (part.tile, &part.samples))) {
-        return Err(FilmFileError::Overlap { tile, samples });
+    let of_both = parts.iter().filter(|part| part.half == Half::Both).count();
+    if of_both != 0 && of_both != parts.len() {
+        return Err(FilmFileError::Mixed);
     }
     let mut film = Film::new(settings);
-    parts.iter().for_each(|part| film.add(part.tile, part.samples.as_slice(), &part.pixels));
+    for half in [Half::Both, Half::First, Half::Second] {
+        let own = || parts.iter().filter(|part| part.half == half);
+        if let Some((tile, samples)) = overlap(own().map(|part| (part.tile, &part.samples))) {
+            return Err(FilmFileError::Overlap { tile, samples });
+        }
+        film.half = half;
+        own().for_each(|part| film.add(part.tile, part.samples.as_slice(), &part.pixels));
+    }
+    film.half = settings.half;
     Ok(film)
 }
 
@@ -243,6 +271,7 @@ mod tests {
             strategy: Strategy::Mis,
             sampler: SamplerKind::Sobol,
             without: Default::default(),
+            half: Half::Both,
             scale_exponent: 60,
         }
     }
@@ -265,7 +294,7 @@ mod tests {
         let mut film = Film::new(&settings());
         ranges.iter().for_each(|range| film.merge(&traced(tile, range.clone())));
         let samples = Ranges::from_sorted(ranges.to_vec()).unwrap();
-        Part { tile, samples, pixels: film.tile(tile), contributor: 0 }
+        Part { tile, half: Half::Both, samples, pixels: film.tile(tile), contributor: 0 }
     }
 
     fn parts() -> Vec<Part> {
@@ -273,7 +302,7 @@ mod tests {
     }
 
     fn file(parts: &[Part]) -> Vec<u8> {
-        let head = Head { engine: "1".into(), scene: Digest([7; 32]), settings: settings() };
+        let head = Head { engine: "1".into(), scene: Digest([7; 32]), settings: settings(), target: None };
         let mut writer = FilmWriter::new(Vec::new(), &head).unwrap();
         parts.iter().for_each(|part| writer.part(part).unwrap());
         writer.finish().unwrap()

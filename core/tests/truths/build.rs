@@ -45,6 +45,7 @@ pub fn settings(side: u32, spp: u32, strategy: Strategy) -> Settings {
         strategy,
         sampler: SamplerKind::Sobol,
         without: Without::default(),
+        half: Default::default(),
         scale_exponent: film::scale_exponent(100.0),
     }
 }

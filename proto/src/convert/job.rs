@@ -5,7 +5,7 @@ use crate::limits::{
     FAILURE_BYTES_MAX, FILM_CHUNK_PIXELS, FILM_PIXELS_MAX, NAME_BYTES_MAX, RANGES_MAX, THREADS_MAX, TILE_SIDE_MAX,
 };
 use crate::sums;
-use crate::types::{FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus};
+use crate::types::{Contribution, FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus};
 use crate::wire;
 use std::ops::Range;
 use std::time::Duration;
@@ -84,6 +84,7 @@ impl From<Progress> for wire::Progress {
             running_ms: millis(progress.running),
             scene: digest_bytes(&progress.scene),
             settings: Some((&progress.settings).into()),
+            merge_us: micros(progress.merging),
         }
     }
 }
@@ -116,17 +117,19 @@ impl TryFrom<wire::Progress> for Progress {
             running: Duration::from_millis(message.running_ms),
             scene: digest(&message.scene, "progress.scene")?,
             settings: message.settings.ok_or(WireError::Missing("progress.settings"))?.try_into()?,
+            merging: Duration::from_micros(message.merge_us),
         })
     }
 }
 
 impl From<WorkerStatus> for wire::Worker {
     fn from(status: WorkerStatus) -> Self {
-        let WorkerInfo { threads, isa, host, pid, name, .. } = status.info;
+        let WorkerInfo { threads, isa, host, pid, name, cpu, .. } = status.info;
         Self {
             worker: status.worker.0,
             name,
             host,
+            cpu,
             pid,
             isa,
             threads,
@@ -151,6 +154,7 @@ impl TryFrom<wire::Worker> for WorkerStatus {
                 host: text(message.host, NAME_BYTES_MAX, "worker.host")?,
                 pid: message.pid,
                 name: text(message.name, NAME_BYTES_MAX, "worker.name")?,
+                cpu: text(message.cpu, NAME_BYTES_MAX, "worker.cpu")?,
                 // The coordinator's own affair.
                 instance: 0,
             },
@@ -159,6 +163,39 @@ impl TryFrom<wire::Worker> for WorkerStatus {
             samples_done: message.samples_done,
             samples_per_second: message.samples_per_second,
             silent: Duration::from_millis(message.silent_ms),
+        })
+    }
+}
+
+impl From<Contribution> for wire::Contribution {
+    fn from(contribution: Contribution) -> Self {
+        let Contribution { worker, info, units, samples, trace, first, last } = contribution;
+        let status = WorkerStatus {
+            worker,
+            info,
+            leases: 0,
+            units_done: units,
+            samples_done: samples,
+            samples_per_second: 0.0,
+            silent: Duration::ZERO,
+        };
+        Self { worker: Some(status.into()), trace_us: micros(trace), first_us: micros(first), last_us: micros(last) }
+    }
+}
+
+impl TryFrom<wire::Contribution> for Contribution {
+    type Error = WireError;
+
+    fn try_from(message: wire::Contribution) -> Result<Self, WireError> {
+        let status = WorkerStatus::try_from(message.worker.ok_or(WireError::Missing("contribution.worker"))?)?;
+        Ok(Self {
+            worker: status.worker,
+            info: status.info,
+            units: status.units_done,
+            samples: status.samples_done,
+            trace: Duration::from_micros(message.trace_us),
+            first: Duration::from_micros(message.first_us),
+            last: Duration::from_micros(message.last_us),
         })
     }
 }
@@ -237,6 +274,10 @@ impl FilmParts {
         let FilmHeader { window, scale_exponent } = self.header;
         Film::from_parts(window, scale_exponent, self.sums, self.counts).ok_or(WireError::Unbounded)
     }
+}
+
+fn micros(duration: Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
 }
 
 fn millis(duration: Duration) -> u64 {

@@ -3,7 +3,7 @@
 use super::{WireError, window};
 use crate::wire;
 use tilecast_core::settings::{
-    FILM_SIDE_MAX, Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Without,
+    FILM_SIDE_MAX, Film, Filter, Half, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Without,
 };
 
 impl From<&Settings> for wire::Settings {
@@ -36,6 +36,11 @@ impl From<&Settings> for wire::Settings {
             SamplerKind::SobolJoint => wire::Sampler::SobolJoint,
             SamplerKind::SobolZ => wire::Sampler::SobolZ,
         };
+        let half = match settings.half {
+            Half::Both => wire::Half::Both,
+            Half::First => wire::Half::First,
+            Half::Second => wire::Half::Second,
+        };
         let Without { splitting, early_roulette, blind_ends } = settings.without;
         Self {
             width,
@@ -48,6 +53,7 @@ impl From<&Settings> for wire::Settings {
             strategy: strategy.into(),
             sampler: sampler.into(),
             scale_exponent: settings.scale_exponent,
+            half: half.into(),
             without: Some(wire::Without { splitting, early_roulette, blind_ends }),
         }
     }
@@ -88,6 +94,7 @@ impl TryFrom<wire::Settings> for Settings {
                 early_roulette: wire.early_roulette,
                 blind_ends: wire.blind_ends,
             }),
+            half: half(message.half)?,
             scale_exponent: message.scale_exponent,
         };
         settings.validate()?;
@@ -114,6 +121,15 @@ fn strategy(value: i32) -> Result<Strategy, WireError> {
         Ok(wire::Strategy::Light) => Ok(Strategy::Light),
         Ok(wire::Strategy::Mis) => Ok(Strategy::Mis),
         Ok(wire::Strategy::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.strategy", value }),
+    }
+}
+
+fn half(value: i32) -> Result<Half, WireError> {
+    match wire::Half::try_from(value) {
+        Ok(wire::Half::Both) => Ok(Half::Both),
+        Ok(wire::Half::First) => Ok(Half::First),
+        Ok(wire::Half::Second) => Ok(Half::Second),
+        Ok(wire::Half::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.half", value }),
     }
 }
 

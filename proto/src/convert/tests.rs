@@ -6,7 +6,7 @@ use crate::{sums, types};
 use proptest::prelude::*;
 use std::time::Duration;
 use tilecast_core::film::{self, TileSums};
-use tilecast_core::settings::{Film, Filter, Integrator, IntegratorKind, SamplerKind, Strategy, Without};
+use tilecast_core::settings::{Film, Filter, Half, Integrator, IntegratorKind, SamplerKind, Strategy, Without};
 
 fn settings() -> Settings {
     Settings {
@@ -21,6 +21,7 @@ fn settings() -> Settings {
         integrator: Integrator { kind: IntegratorKind::Whitted, max_depth: None, rr_depth: 5, hide_emitters: true },
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
+        half: Half::Second,
         without: Without { splitting: true, early_roulette: false, blind_ends: true },
         scale_exponent: -3,
     }
@@ -28,7 +29,7 @@ fn settings() -> Settings {
 
 fn hello() -> wire::Hello {
     let name = || "x".to_owned();
-    WorkerInfo { threads: 2, isa: name(), host: name(), pid: 1, name: name(), instance: 1 }.into()
+    WorkerInfo { threads: 2, isa: name(), host: name(), pid: 1, name: name(), cpu: name(), instance: 1 }.into()
 }
 
 fn unit() -> wire::Unit {
@@ -164,6 +165,7 @@ fn progress_comes_back_as_it_went() {
             relative_error: Some(film::RelativeError { value: 0.25, low: 0.2, high: 0.3 }),
             elapsed: Duration::from_millis(7),
             running: Duration::from_millis(6),
+            merging: Duration::from_micros(7),
             scene: Digest([3; 32]),
             settings: settings(),
         };
@@ -173,6 +175,7 @@ fn progress_comes_back_as_it_went() {
 
 fn filled_film() -> film::Film {
     let mut settings = settings();
+    settings.half = Half::Both;
     settings.scale_exponent = film::scale_exponent(1.0);
     let mut film = film::Film::new(&settings);
     for (i, tile) in

@@ -27,6 +27,7 @@ impl TryFrom<wire::Hello> for WorkerInfo {
             host: text(message.host, NAME_BYTES_MAX, "hello.host")?,
             pid: message.pid,
             name: text(message.name, NAME_BYTES_MAX, "hello.name")?,
+            cpu: text(message.cpu, NAME_BYTES_MAX, "hello.cpu")?,
             instance: within(message.instance, 1..=u64::MAX, "hello.instance")?,
         })
     }
@@ -34,8 +35,8 @@ impl TryFrom<wire::Hello> for WorkerInfo {
 
 impl From<WorkerInfo> for wire::Hello {
     fn from(info: WorkerInfo) -> Self {
-        let WorkerInfo { threads, isa, host, pid, name, instance } = info;
-        Self { version: Some(Version::ours().into()), threads, isa, host, pid, name, instance }
+        let WorkerInfo { threads, isa, host, pid, name, cpu, instance } = info;
+        Self { version: Some(Version::ours().into()), threads, isa, host, pid, name, cpu, instance }
     }
 }
 

@@ -111,6 +111,7 @@ impl Estimator {
             strategy: self.strategy,
             sampler: SamplerKind::Sobol,
             without: Without::default(),
+            half: Default::default(),
             scale_exponent: 0,
         }
     }

@@ -297,6 +297,7 @@ fn settings() -> Settings {
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
         without: Without::default(),
+        half: Default::default(),
         scale_exponent: 0,
     }
 }

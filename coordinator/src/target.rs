@@ -1,0 +1,301 @@
+//! How many samples each tile gets for an image of a given error, decided so that the image stays unbiased.
+//!
+//! A *pilot* of its own seed, which is not part of the image, says where the noise is. The image's replicates form two halves,
+//! independent of each other. Each half is traced to a count that only the pilot knows of; then the noise of each decides the
+//! final counts of the *other*. So the number of samples that a mean is over never depends on those samples. docs/adaptive.md
+//! has the argument.
+//!
+//! Pure: it is given films, which are exact, and says what to trace next. So the counts are a function of scene, settings
+//! and target, whoever traces.
+
+mod noise;
+#[cfg(test)]
+mod tests;
+
+use crate::plan::{Plan, PlanError, TILES_MAX};
+use noise::{Model, Noise};
+use std::ops::Range;
+use tilecast_core::film::Film;
+use tilecast_core::film::file::Target;
+use tilecast_core::film::ranges::Ranges;
+use tilecast_core::settings::{Half, Settings, Window};
+use tilecast_proto::limits::RANGES_MAX;
+
+/// Side of the tiles that get counts of their own, in pixels: enough pixels that four replicates tell their noise well, and
+/// few enough that noise differs between tiles. Doubled for pictures that would have too many.
+const SIDE: u32 = 16;
+/// The pilot begins with so many samples a pixel, one for each replicate.
+const PILOT_FIRST: u32 = 4;
+/// The pilot grows until it is this part of what it predicts…
+const PILOT_SHARE: f64 = 1.0 / 16.0;
+/// … and no further than this.
+const PILOT_MAX: u32 = 1 << 12;
+/// Both halves are traced to this part of what the pilot predicts before they decide for each other: late enough that the
+/// end is near, early enough that the prediction may be too high.
+const FIRST_SHARE: f64 = 0.4;
+/// Aimed at, relative to the target: estimates of the error err a little, too.
+const AIM: f64 = 0.975;
+/// The final counts are at most so many times the first ones: noise that a first look missed must not run away with the time.
+const GROWTH_MAX: f64 = 32.0;
+/// A pixel has at most so many samples.
+const SPP_MAX: f64 = (1u32 << 30) as f64;
+/// Samples come in sets of one for each replicate.
+const SET: u32 = 4;
+
+/// What to trace next.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// Whether what it makes is of the pilot, and not of the image.
+    pub pilot: bool,
+    /// How; `spp` covers the ranges.
+    pub settings: Settings,
+    /// Side of the tiles.
+    pub tile: u32,
+    /// One range for all tiles, or one for each.
+    pub samples: Vec<Range<u32>>,
+    /// Samples that will have been traced in the end, over all pixels, as far as can be said now.
+    pub expected: Option<f64>,
+}
+
+/// An image that has reached its target.
+#[derive(Clone, Debug)]
+pub struct Reached {
+    /// The image, weighted by halves.
+    pub film: Film,
+    /// Which samples of each half each tile has.
+    pub tiles: Vec<(Window, Half, Ranges)>,
+    /// The job's settings, with `spp` the most that a pixel has.
+    pub settings: Settings,
+    /// Samples traced in all, over all pixels, the pilot's included.
+    pub traced: u64,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct Search {
+    settings: Settings,
+    target: Target,
+    side: u32,
+    tiles: Vec<Window>,
+    traced: u64,
+    state: State,
+}
+
+#[derive(Debug)]
+enum State {
+    /// The pilot so far, its count, and the image's noise at each count before.
+    Pilot {
+        film: Option<Film>,
+        count: u32,
+        history: Vec<(u32, Noise)>,
+    },
+    /// Counts that the pilot chose.
+    First {
+        pilot: (u32, Noise),
+        counts: Vec<u32>,
+    },
+    /// Both halves to the smaller of their counts.
+    Common {
+        film: Film,
+        from: Vec<u32>,
+        halves: [Vec<u32>; 2],
+    },
+    /// The larger half to its own.
+    Rest {
+        film: Film,
+        halves: [Vec<u32>; 2],
+    },
+    Done(Box<Reached>),
+}
+
+impl Search {
+    /// Begins. `settings.spp` does not matter.
+    ///
+    /// # Errors
+    /// A picture of too many tiles.
+    pub fn new(settings: &Settings, target: Target) -> Result<Self, PlanError> {
+        let mut side = SIDE;
+        let plan = loop {
+            let plan = Plan::new(settings, Some(side), std::slice::from_ref(&(0..1)))?;
+            if plan.order.len() <= RANGES_MAX || side >= tilecast_proto::limits::TILE_SIDE_MAX {
+                break plan;
+            }
+            side *= 2;
+        };
+        let count = u32::try_from(plan.order.len()).unwrap_or(u32::MAX);
+        let tiles = (0..count).map(|index| plan.tile(index)).collect();
+        let state = State::Pilot { film: None, count: 0, history: Vec::new() };
+        Ok(Self { settings: settings.clone(), target, side, tiles, traced: 0, state })
+    }
+
+    /// What to trace next; `None` at the end.
+    pub fn step(&self) -> Option<Step> {
+        let step = |samples: Vec<Range<u32>>, half: Half| {
+            let spp = samples.iter().map(|range| range.end).max().unwrap_or(1).max(1);
+            Step {
+                pilot: false,
+                settings: Settings { spp, half, ..self.settings.clone() },
+                tile: self.side,
+                samples,
+                expected: self.expected(),
+            }
+        };
+        match &self.state {
+            State::Pilot { count, .. } => {
+                let next = (2 * count).max(PILOT_FIRST);
+                let mut step = step(std::iter::once(*count..next).collect(), Half::Both);
+                step.pilot = true;
+                step.settings.seed = pilot_seed(self.settings.seed);
+                Some(step)
+            }
+            State::First { counts, .. } => Some(step(counts.iter().map(|&n| 0..n).collect(), Half::Both)),
+            State::Common { from, halves, .. } => {
+                let [first, second] = halves;
+                let ends = first.iter().zip(second).map(|(&a, &b)| a.min(b));
+                Some(step(from.iter().zip(ends).map(|(&from, end)| from..end).collect(), Half::Both))
+            }
+            State::Rest { halves, .. } => {
+                let (half, smaller, larger) = rest(halves);
+                // A half's own indices: it has two of four replicates.
+                let ranges = smaller.iter().zip(larger).map(|(&from, &to)| from / 2..to / 2);
+                Some(step(ranges.collect(), half))
+            }
+            State::Done(_) => None,
+        }
+    }
+
+    /// Goes on with the film of the step. Steps that have nothing to trace are not given out.
+    pub fn take(&mut self, film: Film) {
+        let pixels = film.counts().iter().flatten().map(|&count| u64::from(count)).sum::<u64>();
+        self.traced += pixels;
+        let placeholder = State::Pilot { film: None, count: 0, history: Vec::new() };
+        self.state = match std::mem::replace(&mut self.state, placeholder) {
+            State::Pilot { film: so_far, count, history } => self.pilot(so_far, count, history, film),
+            State::First { pilot, counts } => self.exchange(pilot, counts, film),
+            State::Common { film: mut all, halves, .. } => {
+                all.join(&film);
+                self.rest_or_done(all, halves)
+            }
+            State::Rest { film: mut all, halves } => {
+                all.join(&film);
+                self.done(all, halves)
+            }
+            State::Done(reached) => State::Done(reached),
+        };
+    }
+
+    /// The image, if it is there.
+    pub fn reached(self) -> Option<Reached> {
+        match self.state {
+            State::Done(reached) => Some(*reached),
+            _ => None,
+        }
+    }
+
+    fn pilot(&self, so_far: Option<Film>, count: u32, mut history: Vec<(u32, Noise)>, film: Film) -> State {
+        let film = match so_far {
+            Some(mut all) => {
+                all.join(&film);
+                all
+            }
+            None => film,
+        };
+        let count = (2 * count).max(PILOT_FIRST);
+        history.push((count, Noise::of(&film, Half::Both, &self.tiles)));
+        let Some(model) = self.predict(&history) else { return State::Pilot { film: Some(film), count, history } };
+        let predicted = model.mean_count();
+        if f64::from(count) < PILOT_SHARE * predicted && count < PILOT_MAX {
+            return State::Pilot { film: Some(film), count, history };
+        }
+        let counts = model.counts(FIRST_SHARE);
+        let noise = history.pop().map_or_else(|| Noise::of(&film, Half::Both, &self.tiles), |(_, noise)| noise);
+        State::First { pilot: (count, noise), counts }
+    }
+
+    /// The counts that a pilot predicts; `None` while it says too little.
+    fn predict(&self, history: &[(u32, Noise)]) -> Option<Model> {
+        let (count, noise) = history.last()?;
+        // Two doublings tell more than one, and more would tell of counts that are far away.
+        let (earlier, before) = history.iter().rev().take(3).skip(1).last()?;
+        let factor = f64::from(*count) / f64::from(*earlier);
+        let rate = noise::rate(before.total(self.target), noise.total(self.target), factor);
+        Some(noise.model(self.target, f64::from(*count), rate, AIM))
+    }
+
+    /// Each half's noise decides the other's counts.
+    fn exchange(&self, (pilot_count, pilot): (u32, Noise), counts: Vec<u32>, film: Film) -> State {
+        let decided_by = |half: Half| -> Vec<u32> {
+            let noise = Noise::of(&film, half, &self.tiles);
+            let growth = noise.growth(&pilot, f64::from(pilot_count), &counts, self.target, AIM).clamp(1.0, GROWTH_MAX);
+            counts.iter().map(|&n| in_sets(f64::from(n) * growth)).collect()
+        };
+        let halves = [decided_by(Half::Second), decided_by(Half::First)];
+        let grows = |i: usize| halves[0][i].min(halves[1][i]) > counts[i];
+        if (0..counts.len()).any(grows) {
+            State::Common { film, from: counts, halves }
+        } else {
+            self.rest_or_done(film, halves)
+        }
+    }
+
+    fn rest_or_done(&self, film: Film, halves: [Vec<u32>; 2]) -> State {
+        if halves[0] == halves[1] { self.done(film, halves) } else { State::Rest { film, halves } }
+    }
+
+    fn done(&self, mut film: Film, halves: [Vec<u32>; 2]) -> State {
+        film.half = Half::Both;
+        film.halves = true;
+        let mut tiles = Vec::with_capacity(2 * self.tiles.len());
+        for (half, counts) in [Half::First, Half::Second].into_iter().zip(&halves) {
+            for (&tile, &count) in self.tiles.iter().zip(counts) {
+                let mut samples = Ranges::default();
+                samples.insert(0..count / 2);
+                tiles.push((tile, half, samples));
+            }
+        }
+        let most = halves[0].iter().zip(&halves[1]).map(|(a, b)| a / 2 + b / 2).max().unwrap_or(1);
+        let settings = Settings { spp: most, ..self.settings.clone() };
+        State::Done(Box::new(Reached { film, tiles, settings, traced: self.traced }))
+    }
+
+    fn expected(&self) -> Option<f64> {
+        let area = |i: usize| self.tiles[i].area() as f64;
+        let total = |counts: &[u32]| counts.iter().enumerate().map(|(i, &n)| area(i) * f64::from(n)).sum::<f64>();
+        let traced = self.traced as f64;
+        match &self.state {
+            State::Pilot { history, .. } => {
+                let pixels: f64 = (0..self.tiles.len()).map(area).sum();
+                self.predict(history).map(|model| pixels * model.mean_count() * (1.0 + PILOT_SHARE))
+            }
+            State::First { counts, .. } => Some(traced + total(counts) / FIRST_SHARE),
+            State::Common { from, halves, .. } => {
+                Some(traced - total(from) + 0.5 * (total(&halves[0]) + total(&halves[1])))
+            }
+            State::Rest { halves, .. } => Some(traced + 0.5 * (total(&halves[0]) - total(&halves[1])).abs()),
+            State::Done(_) => Some(traced),
+        }
+    }
+}
+
+/// Whose counts are larger, and both counts, the smaller first. One is larger everywhere: they are multiples of the same.
+fn rest(halves: &[Vec<u32>; 2]) -> (Half, &[u32], &[u32]) {
+    let [first, second] = halves;
+    if first.iter().zip(second).any(|(a, b)| a > b) {
+        (Half::First, second, first)
+    } else {
+        (Half::Second, first, second)
+    }
+}
+
+/// At least so many samples, in whole sets.
+fn in_sets(count: f64) -> u32 {
+    let sets = (count.clamp(1.0, SPP_MAX) / f64::from(SET)).ceil();
+    sets as u32 * SET
+}
+
+/// The pilot's random numbers are none of the image's.
+fn pilot_seed(seed: u64) -> u64 {
+    seed ^ 0x7069_6c6f_7400_0000
+}
+
+const _: () = assert!(RANGES_MAX as u64 <= TILES_MAX);
