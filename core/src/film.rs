@@ -66,13 +66,13 @@ impl PixelSums {
     ///
     /// # Errors
     /// NaN, infinite or out-of-range radiance; nothing is added then.
-    #[inline]
+    #[inline(always)]
     pub fn add(&mut self, index: u32, radiance: Vec3, scale_exponent: i32) -> Result<(), RadianceError> {
         if !radiance.is_finite() {
             return Err(RadianceError::NotFinite(radiance));
         }
-        let fixed = radiance.to_array().map(|x| to_fixed(x, scale_exponent));
-        let [Some(r), Some(g), Some(b)] = fixed else {
+        let fixed = |x: f32| to_fixed(x, scale_exponent);
+        let (Some(r), Some(g), Some(b)) = (fixed(radiance.x), fixed(radiance.y), fixed(radiance.z)) else {
             return Err(RadianceError::OutOfRange(radiance));
         };
         let sums = &mut self.0[index as usize % REPLICATES];
@@ -105,7 +105,7 @@ impl PixelSums {
 }
 
 /// x · 2^scale as an integer, to nearest, ties to even; `None` beyond [`SAMPLE_BITS`].
-#[inline]
+#[inline(always)]
 fn to_fixed(x: f32, scale_exponent: i32) -> Option<i128> {
     let bits = x.to_bits();
     let biased = ((bits >> 23) & 0xff) as i32;

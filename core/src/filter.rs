@@ -24,6 +24,12 @@ pub struct FilterTable {
     signed: Option<Signed>,
 }
 
+/// As [`FilterTable::sample`] for the box filter.
+#[inline(always)]
+pub fn box_sample(pixel: u32, u: f32) -> (f32, f32) {
+    (pixel as f32 + u, 1.0)
+}
+
 /// A filter with negative lobes.
 struct Signed {
     /// At the knots.
@@ -44,6 +50,11 @@ impl FilterTable {
         Self { radius, is_box: filter == Filter::Box, density, integral, signed }
     }
 
+    /// Whether it is the pixel itself, for which [`box_sample`] does.
+    pub fn is_box(&self) -> bool {
+        self.is_box
+    }
+
     /// The position of a sample, in pixels from the left edge of the film, for the pixel `pixel` of a film of `size` pixels
     /// along this axis and a random number `u`; and its weight, which is 1 where the filter is nowhere negative, else 1 in the
     /// mean. What of the filter lies beyond the film is cut off: a border pixel is the mean over the part of its filter that
@@ -51,7 +62,7 @@ impl FilterTable {
     #[inline(always)]
     pub fn sample(&self, pixel: u32, size: u32, u: f32) -> (f32, f32) {
         if self.is_box {
-            return (pixel as f32 + u, 1.0);
+            return box_sample(pixel, u);
         }
         let centre = pixel as f32 + 0.5;
         let (low, high) = (-centre, size as f32 - centre);

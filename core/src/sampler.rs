@@ -55,7 +55,7 @@ pub struct Sampler {
 impl Sampler {
     /// The numbers of sample `index` of pixel (x, y). Indices deal samples out to the replicates in turn. `spp`, the samples
     /// that a pixel will have, matters to [`SamplerKind::SobolZ`] alone.
-    #[inline]
+    #[inline(always)]
     pub fn new(kind: SamplerKind, seed: u64, x: u32, y: u32, index: u32, spp: u32) -> Self {
         let (replicate, index) = (u64::from(index % REPLICATES as u32), index / REPLICATES as u32);
         let (pixel, curve) = match kind {
@@ -67,19 +67,19 @@ impl Sampler {
     }
 
     /// The position on the film, in [0,1)².
-    #[inline]
+    #[inline(always)]
     pub fn film(&self) -> Vec2 {
         self.pair(0, 0, 0)
     }
 
     /// The position on the lens, in [0,1)².
-    #[inline]
+    #[inline(always)]
     pub fn lens(&self) -> Vec2 {
         self.pair(1, 0, 2)
     }
 
     /// From here on, slots are those of the surface at `depth` (0: the first hit).
-    #[inline]
+    #[inline(always)]
     pub fn at_surface(&mut self, depth: u32) {
         self.base = CAMERA_SLOTS + depth.wrapping_mul(SURFACE_SLOTS);
     }
@@ -93,7 +93,7 @@ impl Sampler {
     }
 
     /// One number in [0,1).
-    #[inline]
+    #[inline(always)]
     pub fn one(&self, slot: Slot) -> f32 {
         let dimension = JOINT[slot as usize];
         let slot = self.base.wrapping_add(slot as u32);
@@ -108,14 +108,14 @@ impl Sampler {
     }
 
     /// Two numbers in [0,1)².
-    #[inline]
+    #[inline(always)]
     pub fn two(&self, slot: Slot) -> Vec2 {
         self.pair(self.base.wrapping_add(slot as u32), self.base, JOINT[slot as usize])
     }
 
     /// Burley 2020, "Practical Hash-based Owen Scrambling", section 4: the index is shuffled, then each coordinate of the
     /// Sobol' point is scrambled by itself. The first coordinate is the index with its bits reversed.
-    #[inline]
+    #[inline(always)]
     fn pair(&self, slot: u32, group: u32, dimension: u32) -> Vec2 {
         if self.kind == SamplerKind::Independent {
             let hash = self.hash(slot);
@@ -132,7 +132,7 @@ impl Sampler {
     }
 
     /// The shuffled index of the Sobol' point and the hash that scrambles its coordinates.
-    #[inline]
+    #[inline(always)]
     fn point(&self, slot: u32, group: u32) -> (u32, u64) {
         let hash = self.slot_seed(slot);
         let index = match self.kind {
@@ -143,25 +143,60 @@ impl Sampler {
         (index, hash)
     }
 
-    #[inline]
+    #[inline(always)]
     fn slot_seed(&self, slot: u32) -> u64 {
         mix64(self.stream.wrapping_add(u64::from(slot).wrapping_mul(0x9e37_79b9_7f4a_7c15)))
     }
 
-    #[inline]
+    #[inline(always)]
     fn hash(&self, slot: u32) -> u64 {
         mix64(self.slot_seed(slot) ^ u64::from(self.index))
     }
 }
 
+impl Sampler {
+    /// What chooses numbers.
+    #[inline(always)]
+    pub fn kind(&self) -> SamplerKind {
+        self.kind
+    }
+}
+
+/// The numbers of many samples at once: as [`Sampler`]s, laid out for vectors.
+pub struct Samplers<const N: usize> {
+    stream: [u64; N],
+    index: [u32; N],
+    curve: [u64; N],
+}
+
+impl<const N: usize> Samplers<N> {
+    /// Any at all.
+    pub const NONE: Self = Self { stream: [0; N], index: [0; N], curve: [0; N] };
+
+    /// Keeps a sampler, less what it has in common with the others.
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, sampler: &Sampler) {
+        (self.stream[i], self.index[i], self.curve[i]) = (sampler.stream, sampler.index, sampler.curve.0);
+    }
+
+    /// The sampler kept at `i`, at the surface of this depth. `like` has what they have in common.
+    #[inline(always)]
+    pub fn at(&self, i: usize, depth: u32, kind: SamplerKind, like: &Sampler) -> Sampler {
+        let curve = (self.curve[i], like.curve.1);
+        let mut sampler = Sampler { kind, stream: self.stream[i], index: self.index[i], curve, base: 0 };
+        sampler.at_surface(depth);
+        sampler
+    }
+}
+
 /// The top 24 bits as a fraction: every value is exact and below 1.
-#[inline]
+#[inline(always)]
 fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
 /// The finaliser of SplitMix64 (Steele, Lea & Flood 2014): a bijection that mixes every bit.
-#[inline]
+#[inline(always)]
 pub(crate) fn mix64(mut x: u64) -> u64 {
     x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -170,7 +205,7 @@ pub(crate) fn mix64(mut x: u64) -> u64 {
 }
 
 /// A 32-bit bijective mixer (Wellons' "lowbias32").
-#[inline]
+#[inline(always)]
 fn mix32(mut x: u32) -> u32 {
     x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
     x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
@@ -178,13 +213,13 @@ fn mix32(mut x: u32) -> u32 {
 }
 
 /// Owen-scrambles a number given with reversed bits, and puts the bits in order.
-#[inline]
+#[inline(always)]
 fn scramble_reversed(reversed: u32, seed: u32) -> u32 {
     owen_hash(reversed, seed).reverse_bits()
 }
 
 /// Owen-scrambles the order of the indices: any aligned block of 2^k of them stays one.
-#[inline]
+#[inline(always)]
 fn shuffle(index: u32, seed: u32) -> u32 {
     scramble_reversed(index.reverse_bits(), seed)
 }

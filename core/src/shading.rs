@@ -19,9 +19,20 @@ pub struct Materials {
     of_shape: Vec<BsdfId>,
     /// Whether something in the BSDF of each shape is chosen at random.
     has_lobes: Vec<bool>,
+    /// The shapes that are plainly Lambert's.
+    lambert: Vec<Option<Lambert>>,
     /// Whether each BSDF needs tangents that follow the texture coordinates.
     oriented: Vec<bool>,
     coats: Coats,
+}
+
+/// A reflector after Lambert with nothing around it but, perhaps, two sides.
+#[derive(Clone, Copy, Debug)]
+pub struct Lambert {
+    /// The albedo where the normal is.
+    pub front: TextureId,
+    /// The albedo of the other side; none where that is black.
+    pub back: Option<TextureId>,
 }
 
 /// How light scatters at one hit.
@@ -32,7 +43,7 @@ pub struct Shading<'a> {
     /// Its local space.
     pub frame: Frame,
     /// How a bump or normal map has bent that from the surface's own.
-    tilt: Option<Tilt>,
+    pub(crate) tilt: Option<Tilt>,
 }
 
 impl Shading<'_> {
@@ -69,6 +80,7 @@ impl Materials {
             bsdfs: scene.bsdfs.clone(),
             of_shape: scene.levels().flatten().map(|s| s.bsdf).collect(),
             has_lobes: scene.levels().flatten().map(|s| has_lobes(scene, s.bsdf)).collect(),
+            lambert: scene.levels().flatten().map(|s| lambert(scene, s.bsdf)).collect(),
             oriented,
             coats: Coats::new(&scene.bsdfs),
         }
@@ -78,6 +90,12 @@ impl Materials {
     #[inline(always)]
     pub fn has_lobes(&self, shape: u32) -> bool {
         self.has_lobes[shape as usize]
+    }
+
+    /// What [`Materials::at`] would find out step by step, for shapes that are plainly Lambert's.
+    #[inline(always)]
+    pub fn lambert(&self, shape: u32) -> Option<&Lambert> {
+        self.lambert[shape as usize].as_ref()
     }
 
     /// The closure at `surface`, seen from the direction `wo`. A mask answers at random, by `lobe`: with the probability of
@@ -145,6 +163,18 @@ fn happens(lobe: &mut f32, probability: f32) -> bool {
     *lobe = if happens { *lobe / probability } else { (*lobe - probability) / (1.0 - probability) };
     *lobe = lobe.min(1.0 - f32::EPSILON);
     happens
+}
+
+/// The BSDF as Lambert's, if it is that.
+fn lambert(scene: &Scene, bsdf: BsdfId) -> Option<Lambert> {
+    let albedo = |id: BsdfId| match scene.bsdfs[id.0 as usize] {
+        Bsdf::Diffuse { reflectance } => Some(reflectance),
+        _ => None,
+    };
+    match scene.bsdfs[bsdf.0 as usize] {
+        Bsdf::TwoSided { front, back } => Some(Lambert { front: albedo(front)?, back: Some(albedo(back)?) }),
+        _ => Some(Lambert { front: albedo(bsdf)?, back: None }),
+    }
 }
 
 /// Whether a BSDF makes any choice but that of a direction.

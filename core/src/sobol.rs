@@ -4,7 +4,7 @@
 
 /// Owen scrambling of a number whose bits are reversed: each bit is flipped by a hash of the bits below it. Laine & Karras
 /// 2011 with Vegdahl's constants (2021).
-#[inline]
+#[inline(always)]
 pub(crate) fn owen_hash(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);
@@ -16,7 +16,7 @@ pub(crate) fn owen_hash(mut x: u32, seed: u32) -> u32 {
 /// The second Sobol' coordinate of an index, with reversed bits. The generator matrix is Pascal's triangle mod 2, the
 /// fivefold Kronecker power of `[[1,1],[0,1]]`, so five masked shifts apply it: bit i of the result is the parity of C(k, i)
 /// over the set bits k of the index.
-#[inline]
+#[inline(always)]
 pub(crate) fn pascal(index: u32) -> u32 {
     let mut x = index;
     x ^= (x & 0xaaaa_aaaa) >> 1;
@@ -93,7 +93,7 @@ const fn tables() -> [[[u32; 256]; 4]; DIMENSIONS - 2] {
 }
 
 /// Coordinate `dimension` (below seven) of the Sobol' point `index`, with reversed bits.
-#[inline]
+#[inline(always)]
 pub(crate) fn sobol(index: u32, dimension: u32) -> u32 {
     match dimension {
         0 => index,
@@ -107,7 +107,7 @@ pub(crate) fn sobol(index: u32, dimension: u32) -> u32 {
 }
 
 /// The position of (x, y) along a Z curve: their bits interleaved.
-#[inline]
+#[inline(always)]
 pub(crate) fn morton(x: u32, y: u32) -> u64 {
     let spread = |v: u32| {
         let mut v = u64::from(v);
@@ -127,7 +127,7 @@ const CURVE_DIGITS: u32 = 8;
 /// of Monte Carlo sampling error via hierarchical ordering of pixels"): each base-4 digit of the pixel's position is permuted by
 /// a hash of the digits above it, the bits of the pixel's own samples likewise. Only the lowest 32 bits of it count, and of the
 /// curve at most [`CURVE_DIGITS`].
-#[inline]
+#[inline(always)]
 pub(crate) fn z_index((curve, bits): (u64, u32), index: u32, seed: u32) -> u32 {
     let mut position = 0u32;
     for digit in (0..CURVE_DIGITS).rev() {
@@ -144,7 +144,7 @@ pub(crate) fn z_index((curve, bits): (u64, u32), index: u32, seed: u32) -> u32 {
 }
 
 /// One of the 24 permutations of four, chosen by a hash.
-#[inline]
+#[inline(always)]
 fn permuted(place: u32, hash: u64) -> u32 {
     // Fisher & Yates, in two bits an entry.
     let mut order = 0b11_10_01_00u32;

@@ -70,8 +70,13 @@ impl Surface {
     /// The point moved off the surface to the side of `w`, by at least its error.
     #[inline(always)]
     fn offset(&self, w: Vec3) -> Vec3 {
-        // The sum below is rounded, perhaps backwards: by one step of f32 along each axis at most.
-        let distance = self.normal.abs().dot(self.error + self.position.abs() * gamma(4));
-        self.position + self.normal * distance.copysign(w.dot(self.normal))
+        offset(self.position, self.error, self.normal, w)
     }
+}
+
+#[inline(always)]
+fn offset(position: Vec3, error: Vec3, normal: Vec3, w: Vec3) -> Vec3 {
+    // The sum below is rounded, perhaps backwards: by one step of f32 along each axis at most.
+    let distance = normal.abs().dot(error + position.abs() * gamma(4));
+    position + normal * distance.copysign(w.dot(normal))
 }

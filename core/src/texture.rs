@@ -33,6 +33,15 @@ impl Textures {
         self.images.iter().map(|image| image.bytes()).sum::<usize>() + self.attributes.bytes()
     }
 
+    /// The value, where it is the same everywhere.
+    #[inline(always)]
+    pub fn constant(&self, id: TextureId) -> Option<Vec3> {
+        match &self.textures[id.0 as usize] {
+            Texture::Constant(rgb) => Some(*rgb),
+            _ => None,
+        }
+    }
+
     /// The value at a point of a surface, linear sRGB.
     #[inline(always)]
     pub fn at(&self, id: TextureId, surface: &Surface) -> Vec3 {
@@ -53,7 +62,7 @@ impl Textures {
         }
     }
 
-    #[inline]
+    #[inline(always)]
     fn varying(&self, id: TextureId, texture: &Texture, uv: Vec2, surface: Option<&Surface>) -> Vec3 {
         match texture {
             Texture::Constant(rgb) => *rgb,
@@ -72,6 +81,7 @@ impl Textures {
         }
     }
 
+    #[inline(always)]
     fn bitmap(&self, image: &Image, to_uv: &Affine2, filter: FilterType, wrap: WrapMode, uv: Vec2) -> Vec3 {
         let uv = to_uv.transform_point2(uv);
         let p = Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32);
@@ -109,10 +119,14 @@ impl Textures {
     fn cell(&self, image: &Image, wrap: WrapMode, p: Vec2) -> Cell {
         let p = p - Vec2::splat(0.5);
         let corner = Vec2::new(floor(p.x), floor(p.y));
-        let columns = [0.0, 1.0].map(|x| wrapped(corner.x + x, image.width, wrap) as usize);
-        let rows = [0.0, 1.0].map(|y| wrapped(corner.y + y, image.height, wrap) as usize * image.width as usize);
-        let [upper, lower] = rows.map(|row| columns.map(|column| self.texel(image, row + column)));
-        Cell { upper, lower, at: p - corner }
+        let column = |x: f32| wrapped(corner.x + x, image.width, wrap) as usize;
+        let row = |y: f32| wrapped(corner.y + y, image.height, wrap) as usize * image.width as usize;
+        let (left, right, upper, lower) = (column(0.0), column(1.0), row(0.0), row(1.0));
+        Cell {
+            upper: [self.texel(image, upper + left), self.texel(image, upper + right)],
+            lower: [self.texel(image, lower + left), self.texel(image, lower + right)],
+            at: p - corner,
+        }
     }
 
     /// The pixel of this index, linear.

@@ -2,12 +2,14 @@
 
 use crate::bvh::Ray;
 use crate::bvh::simd::{Isa, Kernel, Lanes, Portable};
-use crate::camera::Camera;
+use crate::camera::{Camera, CameraRay};
 use crate::film::{RadianceError, TileSums};
-use crate::filter::FilterTable;
-use crate::integrator::Estimator;
-use crate::sampler::Sampler;
-use crate::settings::{Settings, SettingsError, Window};
+use crate::filter::{FilterTable, box_sample};
+use crate::integrator::rows::Vec3s;
+use crate::integrator::wave::WIDTH;
+use crate::integrator::{Estimator, Paths, Start, Tag};
+use crate::sampler::{Sampler, Samplers};
+use crate::settings::{SamplerKind, Settings, SettingsError, Window};
 use crate::witness::{Event, Nobody, Record, Witness};
 use crate::world::World;
 use glam::{Vec2, Vec3};
@@ -62,8 +64,12 @@ impl Tracer {
     /// as it goes to the film, be it fit for that or not.
     pub fn replay(&self, x: u32, y: u32, index: u32) -> (Vec3, Vec<Event>) {
         let mut record = Record::default();
-        let radiance = self.sample(Portable, &self.estimator(), x, y, index, &mut record);
-        (radiance, record.0)
+        let start = self.start(x, y, index);
+        let (Ray { origin, direction, .. }, weight) = (start.ray, start.tag.weight);
+        record.see(|| Event::Camera { origin, direction, weight });
+        let mut one = One { start: Some(start), radiance: Vec3::ZERO };
+        self.estimator().follow(Portable, &self.world, &mut one, &mut record);
+        (one.radiance * weight, record.0)
     }
 
     fn estimator(&self) -> Estimator {
@@ -71,27 +77,207 @@ impl Tracer {
         Estimator { integrator, strategy, without }
     }
 
-    /// One sample of one pixel: the same value wherever and whenever it is asked for.
+    /// Where one sample of one pixel begins.
+    fn start(&self, x: u32, y: u32, index: u32) -> Start {
+        let (ray, sampler, weight) = self.lens().ray(x, y, index, self.settings.sampler, self.filter.is_box());
+        Start { ray, sampler, tag: Tag { pixel: 0, index, weight } }
+    }
+
     #[inline(always)]
-    fn sample<L: Lanes>(
-        &self,
-        lanes: L,
-        estimator: &Estimator,
-        x: u32,
-        y: u32,
-        index: u32,
-        witness: &mut impl Witness,
-    ) -> Vec3 {
-        let Settings { film, seed, sampler, spp, .. } = &self.settings;
-        let sampler = Sampler::new(*sampler, *seed, x, y, index, *spp);
+    fn lens(&self) -> Lens<'_> {
+        let Settings { film, seed, spp, .. } = &self.settings;
+        Lens {
+            camera: self.camera.clone(),
+            filter: &self.filter,
+            size: [film.width, film.height],
+            seed: *seed,
+            spp: *spp,
+        }
+    }
+}
+
+/// What makes camera rays: a copy, so that compilers see that no loop changes it.
+struct Lens<'a> {
+    camera: Camera,
+    filter: &'a FilterTable,
+    size: [u32; 2],
+    seed: u64,
+    spp: u32,
+}
+
+impl Lens<'_> {
+    /// The ray of a sample, its random numbers, and its weight. `kind` and `is_box` are the settings'; a caller that names them
+    /// gets a loop without the others.
+    #[inline(always)]
+    fn ray(&self, x: u32, y: u32, index: u32, kind: SamplerKind, is_box: bool) -> (Ray, Sampler, f32) {
+        let sampler = Sampler::new(kind, self.seed, x, y, index, self.spp);
         let u = sampler.film();
-        let (film_x, weight_x) = self.filter.sample(x, film.width, u.x);
-        let (film_y, weight_y) = self.filter.sample(y, film.height, u.y);
-        let camera_ray = self.camera.ray(Vec2::new(film_x, film_y), || sampler.lens());
-        let ray = Ray { origin: camera_ray.origin, direction: camera_ray.direction, t_max: camera_ray.t_max };
-        let weight = weight_x * weight_y;
-        witness.see(|| Event::Camera { origin: ray.origin, direction: ray.direction, weight });
-        estimator.radiance(lanes, &self.world, ray, sampler, witness) * weight
+        let ((film_x, weight_x), (film_y, weight_y)) = if is_box {
+            (box_sample(x, u.x), box_sample(y, u.y))
+        } else {
+            (self.filter.sample(x, self.size[0], u.x), self.filter.sample(y, self.size[1], u.y))
+        };
+        let CameraRay { origin, direction, t_max } = self.camera.ray(Vec2::new(film_x, film_y), || sampler.lens());
+        (Ray { origin, direction, t_max }, sampler, weight_x * weight_y)
+    }
+}
+
+/// A single path.
+struct One {
+    start: Option<Start>,
+    radiance: Vec3,
+}
+
+impl Paths for One {
+    fn start<L: Lanes>(&mut self, _: L) -> Option<Start> {
+        self.start.take()
+    }
+
+    fn end(&mut self, _: Tag, radiance: Vec3) {
+        self.radiance = radiance;
+    }
+}
+
+/// The paths of a tile, in the order of its pixels and their samples.
+struct TilePaths<'a> {
+    tracer: &'a Tracer,
+    stop: &'a AtomicBool,
+    sums: TileSums,
+    /// The sample that comes next: its pixel, counted within the tile, and index.
+    next: (u32, u32),
+    is_stopped: bool,
+    /// The first that has no value, as far as is known.
+    failed: Option<(u32, u32, RadianceError)>,
+    /// Made ready in advance, many at a time.
+    ready: Box<Ready>,
+    /// Those of them that have not begun yet.
+    waiting: Range<usize>,
+}
+
+/// Beginnings of paths.
+struct Ready {
+    pixel: [u32; WIDTH],
+    index: [u32; WIDTH],
+    x: [u32; WIDTH],
+    y: [u32; WIDTH],
+    weight: [f32; WIDTH],
+    origin: Vec3s,
+    direction: Vec3s,
+    t_max: [f32; WIDTH],
+    samplers: Samplers<WIDTH>,
+}
+
+impl<'a> TilePaths<'a> {
+    fn new(tracer: &'a Tracer, tile: Window, samples: Range<u32>, stop: &'a AtomicBool) -> Self {
+        let next = (0, samples.start);
+        let ready = Box::new(Ready {
+            pixel: [0; WIDTH],
+            index: [0; WIDTH],
+            x: [0; WIDTH],
+            y: [0; WIDTH],
+            weight: [0.0; WIDTH],
+            origin: Vec3s::ZERO,
+            direction: Vec3s::ZERO,
+            t_max: [0.0; WIDTH],
+            samplers: Samplers::NONE,
+        });
+        let sums = TileSums::new(tile, samples);
+        Self { tracer, stop, sums, next, is_stopped: false, failed: None, ready, waiting: 0..0 }
+    }
+
+    /// Makes the next paths ready.
+    #[inline(always)]
+    fn make_ready<L: Lanes>(&mut self, lanes: L) {
+        let Window { x0, y0, x1, .. } = self.sums.tile;
+        let samples = self.sums.samples.clone();
+        let (width, half) = (x1 - x0, self.tracer.settings.half);
+        let mut count = 0;
+        while count < WIDTH && (self.next.0 as usize) < self.sums.pixels.len() && !samples.is_empty() {
+            let (pixel, own) = self.next;
+            if own == samples.start && self.stop.load(Ordering::Relaxed) {
+                self.is_stopped = true;
+                break;
+            }
+            (self.ready.x[count], self.ready.y[count]) = (x0 + pixel % width, y0 + pixel / width);
+            (self.ready.pixel[count], self.ready.index[count]) = (pixel, half.index(own));
+            count += 1;
+            self.next = if own + 1 == samples.end { (pixel + 1, samples.start) } else { (pixel, own + 1) };
+        }
+        lanes.run(Cameras { tracer: self.tracer, ready: &mut self.ready });
+        self.waiting = 0..count;
+    }
+
+    fn finish(self) -> Result<Option<TileSums>, SampleError> {
+        if let Some((pixel, index, error)) = self.failed {
+            let Window { x0, y0, x1, .. } = self.sums.tile;
+            return Err(SampleError { x: x0 + pixel % (x1 - x0), y: y0 + pixel / (x1 - x0), index, error });
+        }
+        Ok((!self.is_stopped).then_some(self.sums))
+    }
+}
+
+impl Paths for TilePaths<'_> {
+    #[inline(always)]
+    fn start<L: Lanes>(&mut self, lanes: L) -> Option<Start> {
+        // Paths begin in order: when one has failed, whatever comes before it is under way.
+        if self.failed.is_some() || self.is_stopped {
+            return None;
+        }
+        if self.waiting.is_empty() {
+            self.make_ready(lanes);
+        }
+        let i = self.waiting.next()?;
+        let ready = &*self.ready;
+        let ray = Ray { origin: ready.origin.at(i), direction: ready.direction.at(i), t_max: ready.t_max[i] };
+        let Settings { sampler, spp, .. } = self.tracer.settings;
+        let sampler = ready.samplers.at(i, 0, sampler, &Sampler::new(sampler, 0, 0, 0, 0, spp));
+        Some(Start { ray, sampler, tag: Tag { pixel: ready.pixel[i], index: ready.index[i], weight: ready.weight[i] } })
+    }
+
+    #[inline(always)]
+    fn end(&mut self, Tag { pixel, index, weight }: Tag, radiance: Vec3) {
+        let scale_exponent = self.tracer.settings.scale_exponent;
+        let added = self.sums.pixels[pixel as usize].add(index, radiance * weight, scale_exponent);
+        if let Err(error) = added
+            && self.failed.is_none_or(|(other, sooner, _)| (pixel, index) < (other, sooner))
+        {
+            self.failed = Some((pixel, index, error));
+        }
+    }
+}
+
+/// Makes camera rays and samplers for the pixels and samples that are given.
+struct Cameras<'a> {
+    tracer: &'a Tracer,
+    ready: &'a mut Ready,
+}
+
+impl Cameras<'_> {
+    #[inline(always)]
+    fn make(self, kind: SamplerKind, is_box: bool) {
+        let Self { tracer, ready } = self;
+        let lens = tracer.lens();
+        for i in 0..WIDTH {
+            let (ray, sampler, weight) = lens.ray(ready.x[i], ready.y[i], ready.index[i], kind, is_box);
+            ready.origin.set(i, ray.origin);
+            ready.direction.set(i, ray.direction);
+            ready.t_max[i] = ray.t_max;
+            ready.samplers.set(i, &sampler);
+            ready.weight[i] = weight;
+        }
+    }
+}
+
+impl Kernel for Cameras<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        // A loop of its own for what is usual, which becomes one of vectors.
+        match (self.tracer.settings.sampler, self.tracer.filter.is_box()) {
+            (SamplerKind::Sobol, true) => self.make(SamplerKind::Sobol, true),
+            (kind, is_box) => self.make(kind, is_box),
+        }
     }
 }
 
@@ -109,19 +295,8 @@ impl Kernel for TraceTile<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
         let Self { tracer, tile, samples, stop } = self;
-        let (estimator, scale_exponent) = (tracer.estimator(), tracer.settings.scale_exponent);
-        let (mut sums, half) = (TileSums::new(tile, samples.clone()), tracer.settings.half);
-        let positions = (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y)));
-        for ((x, y), pixel) in positions.zip(&mut sums.pixels) {
-            if stop.load(Ordering::Relaxed) {
-                return Ok(None);
-            }
-            for own in samples.clone() {
-                let index = half.index(own);
-                let radiance = tracer.sample(lanes, &estimator, x, y, index, &mut Nobody);
-                pixel.add(index, radiance, scale_exponent).map_err(|error| SampleError { x, y, index, error })?;
-            }
-        }
-        Ok(Some(sums))
+        let mut paths = TilePaths::new(tracer, tile, samples, stop);
+        tracer.estimator().follow(lanes, &tracer.world, &mut paths, &mut Nobody);
+        paths.finish()
     }
 }

@@ -16,7 +16,7 @@ pub struct Conductor {
 
 impl Conductor {
     /// The mirror direction.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3) -> Option<Sample> {
         (wo.z > 0.0).then(|| Sample {
             wi: mirrored(wo),

@@ -17,7 +17,7 @@ pub struct Dielectric {
 impl Dielectric {
     /// The mirror direction with probability of the reflectance, else the refracted one. Radiance that crosses the interface
     /// is scaled by the square of the ratio of indices: light bundles widen or narrow (Veach 1997, §5.2).
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, lobe: f32) -> Option<Sample> {
         let interface = fresnel::dielectric(wo.z, self.eta);
         if wo.z == 0.0 {

@@ -14,19 +14,27 @@ pub struct Diffuse {
 
 impl Diffuse {
     /// f · cos θ and the density of the cosine.
-    #[inline]
+    #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
-        if both_above(wo, wi) {
-            Evaluation { value: self.reflectance * (FRAC_1_PI * wi.z), pdf: cosine_hemisphere_pdf(wi.z) }
-        } else {
-            Evaluation::default()
+        let above = both_above(wo, wi);
+        let value = self.reflectance * (FRAC_1_PI * wi.z);
+        Evaluation {
+            value: if above { value } else { Vec3::ZERO },
+            pdf: if above { cosine_hemisphere_pdf(wi.z) } else { 0.0 },
         }
     }
 
     /// By the cosine: f · cos θ / pdf is the albedo.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, u: Vec2) -> Option<Sample> {
+        let (sample, is_some) = self.sample_flagged(wo, u);
+        is_some.then_some(sample)
+    }
+
+    /// As [`Diffuse::sample`], without branches: a sample, and whether it is one.
+    #[inline(always)]
+    pub fn sample_flagged(&self, wo: Vec3, u: Vec2) -> (Sample, bool) {
         let wi = cosine_hemisphere(u);
-        both_above(wo, wi).then(|| Sample { wi, weight: self.reflectance, pdf: cosine_hemisphere_pdf(wi.z), eta: 1.0 })
+        (Sample { wi, weight: self.reflectance, pdf: cosine_hemisphere_pdf(wi.z), eta: 1.0 }, both_above(wo, wi))
     }
 }

@@ -15,7 +15,7 @@ pub struct Interface {
 }
 
 /// A dielectric met at `cos_theta` (negative: from inside); `eta` is inside over outside.
-#[inline]
+#[inline(always)]
 pub fn dielectric(cos_theta: f32, eta: f32) -> Interface {
     let eta = if cos_theta >= 0.0 { eta } else { 1.0 / eta };
     let cos_i = cos_theta.abs();
@@ -35,7 +35,7 @@ pub fn dielectric(cos_theta: f32, eta: f32) -> Interface {
 }
 
 /// Reflectance of a conductor with the complex index `eta` − i·`k`, a channel at a time (Born & Wolf 1999, §14.4).
-#[inline]
+#[inline(always)]
 pub fn conductor(cos_theta: f32, eta: Vec3, k: Vec3) -> Vec3 {
     let cos2 = cos_theta * cos_theta;
     let sin2 = 1.0 - cos2;
@@ -52,7 +52,7 @@ pub fn conductor(cos_theta: f32, eta: Vec3, k: Vec3) -> Vec3 {
 
 /// Share of uniform diffuse light that a dielectric interface with this relative index reflects: the fits by Egan & Hilgeman
 /// 1973 (below one) and d'Eon & Irving 2011 (above), as Mitsuba takes them.
-#[inline]
+#[inline(always)]
 pub fn diffuse_reflectance(eta: f32) -> f32 {
     let inverse = 1.0 / eta;
     if eta < 1.0 {
@@ -63,7 +63,7 @@ pub fn diffuse_reflectance(eta: f32) -> f32 {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn sqrt(v: Vec3) -> Vec3 {
     Vec3::new(v.x.max(0.0).sqrt(), v.y.max(0.0).sqrt(), v.z.max(0.0).sqrt())
 }

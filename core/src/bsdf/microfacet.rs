@@ -37,13 +37,13 @@ pub struct Scattering {
 
 impl Microfacet {
     /// The distribution with these roughnesses.
-    #[inline]
+    #[inline(always)]
     pub fn new(distribution: Distribution, alpha: Vec2) -> Self {
         Self { distribution, alpha: alpha.max(Vec2::splat(ALPHA_MIN)) }
     }
 
     /// D(m): area of facets with this normal, a unit of surface and solid angle.
-    #[inline]
+    #[inline(always)]
     pub fn density(&self, m: Vec3) -> f32 {
         if m.z <= 0.0 {
             return 0.0;
@@ -66,7 +66,7 @@ impl Microfacet {
     }
 
     /// G1(w) / |cos θ|, which is finite at grazing angles where both go to zero.
-    #[inline]
+    #[inline(always)]
     pub fn masking_over_cos(&self, w: Vec3) -> f32 {
         let cos = w.z.abs();
         let spread = self.spread(w);
@@ -82,14 +82,14 @@ impl Microfacet {
     }
 
     /// G1(w).
-    #[inline]
+    #[inline(always)]
     pub fn masking(&self, w: Vec3) -> f32 {
         self.masking_over_cos(w) * w.z.abs()
     }
 
     /// The share of seen facets over |cos θ| as the *sampling* has it: the density of visible normals is
     /// D(m) · this · (w·m), and must integrate to one. It differs from [`Self::masking_over_cos`] by the latter's fit.
-    #[inline]
+    #[inline(always)]
     fn visible_over_cos(&self, w: Vec3) -> f32 {
         match self.distribution {
             Distribution::Ggx => self.masking_over_cos(w),
@@ -106,14 +106,14 @@ impl Microfacet {
     }
 
     /// Length of the tangential part of `w`, stretched by the roughnesses: α sin θ where both are equal.
-    #[inline]
+    #[inline(always)]
     fn spread(&self, w: Vec3) -> f32 {
         Vec2::new(self.alpha.x * w.x, self.alpha.y * w.y).length()
     }
 
     /// A facet normal as seen from `w` (w.z ≥ 0), by projected area. For GGX: Dupuy & Benyoub 2023, "Sampling Visible GGX
     /// Normals with Spherical Caps".
-    #[inline]
+    #[inline(always)]
     pub fn sample_visible(&self, w: Vec3, u: Vec2) -> Vec3 {
         let stretched = self.stretched(w).normalize();
         match self.distribution {
@@ -124,7 +124,7 @@ impl Microfacet {
 
     /// A facet normal to reflect `wo` (wo.z > 0) with. For GGX the cap is cut to what may lead above the surface: Tokuyoshi
     /// & Eto 2024, "Bounded VNDF Sampling for the Smith-GGX BRDF".
-    #[inline]
+    #[inline(always)]
     pub fn sample_reflection(&self, wo: Vec3, u: Vec2) -> Vec3 {
         match self.distribution {
             Distribution::Ggx => {
@@ -136,7 +136,7 @@ impl Microfacet {
     }
 
     /// Reflection of `wo` into `wi`, both above, off facets with the normal `m`; sampled by [`Self::sample_reflection`].
-    #[inline]
+    #[inline(always)]
     pub fn reflection(&self, wo: Vec3, wi: Vec3, m: Vec3) -> Scattering {
         let pdf_over_density = match self.distribution {
             Distribution::Ggx => 0.5 / (self.bound(wo) * wo.z + self.stretched(wo).length()),
@@ -146,14 +146,14 @@ impl Microfacet {
     }
 
     /// Reflection as before, on either side; sampled by [`Self::sample_visible`].
-    #[inline]
+    #[inline(always)]
     pub fn visible_reflection(&self, wo: Vec3, wi: Vec3, m: Vec3) -> Scattering {
         self.scattering(wo, wi, m, 0.25, 0.25 * self.visible_over_cos(wo))
     }
 
     /// Refraction of `wo` into `wi` on the other side; `eta` is the index on wi's side over that on wo's. Radiance is scaled
     /// by 1/η² as it crosses. Zero where a direction sees the other face of the facet.
-    #[inline]
+    #[inline(always)]
     pub fn refraction(&self, wo: Vec3, wi: Vec3, m: Vec3, eta: f32) -> Scattering {
         let (cos_o, cos_i) = (wo.dot(m), wi.dot(m));
         if cos_o * wo.z <= 0.0 || cos_i * wi.z <= 0.0 {
@@ -165,7 +165,7 @@ impl Microfacet {
         self.scattering(wo, wi, m, jacobian, eta * eta * jacobian * self.visible_over_cos(wo))
     }
 
-    #[inline]
+    #[inline(always)]
     fn scattering(&self, wo: Vec3, wi: Vec3, m: Vec3, jacobian: f32, pdf_over_density: f32) -> Scattering {
         let density = self.density(m);
         let value = jacobian * self.masking_over_cos(wo) * self.masking(wi);
@@ -173,14 +173,14 @@ impl Microfacet {
     }
 
     /// A normal between `stretched` and a direction uniform in the cap z ≥ −`depth` of the sphere.
-    #[inline]
+    #[inline(always)]
     fn capped(&self, stretched: Vec3, depth: f32, u: Vec2) -> Vec3 {
         let z = (1.0 - u.y) * (1.0 + depth) - depth;
         self.unstretched(stretched + around_z(z, u.x))
     }
 
     /// The factor k on the cap's depth (Tokuyoshi & Eto 2024, eq. 5).
-    #[inline]
+    #[inline(always)]
     fn bound(&self, wo: Vec3) -> f32 {
         let alpha = self.alpha.min_element().min(1.0);
         let alpha2 = alpha * alpha;
@@ -189,38 +189,38 @@ impl Microfacet {
         (1.0 - alpha2) * s2 / (s2 + alpha2 * wo.z * wo.z)
     }
 
-    #[inline]
+    #[inline(always)]
     fn stretched(&self, w: Vec3) -> Vec3 {
         Vec3::new(self.alpha.x * w.x, self.alpha.y * w.y, w.z)
     }
 
-    #[inline]
+    #[inline(always)]
     fn unstretched(&self, m: Vec3) -> Vec3 {
         Vec3::new(self.alpha.x * m.x, self.alpha.y * m.y, m.z.max(0.0)).try_normalize().unwrap_or(Vec3::Z)
     }
 }
 
 /// The mirror image of `w` in the facet normal `m`.
-#[inline]
+#[inline(always)]
 pub fn reflected(w: Vec3, m: Vec3) -> Vec3 {
     if m == Vec3::Z { mirrored(w) } else { m * (2.0 * w.dot(m)) - w }
 }
 
 /// The normal, on the upper side, of facets that reflect `wo` into `wi` on the same side. None for two so near to the horizon
 /// and opposite that it is lost in rounding.
-#[inline]
+#[inline(always)]
 pub fn half_reflected(wo: Vec3, wi: Vec3) -> Option<Vec3> {
     (wo + wi).try_normalize().map(upwards)
 }
 
 /// The normal, on the upper side, of facets that refract `wo` into `wi`; `eta` is as in [`Microfacet::refraction`]. None
 /// where no facet does: the two go straight through.
-#[inline]
+#[inline(always)]
 pub fn half_refracted(wo: Vec3, wi: Vec3, eta: f32) -> Option<Vec3> {
     (wo + wi * eta).try_normalize().map(upwards)
 }
 
-#[inline]
+#[inline(always)]
 fn upwards(m: Vec3) -> Vec3 {
     if m.z < 0.0 { -m } else { m }
 }

@@ -164,9 +164,9 @@ impl Closure<'_> {
 }
 
 /// Both directions on the side of the normal.
-#[inline]
+#[inline(always)]
 fn both_above(wo: Vec3, wi: Vec3) -> bool {
-    wo.z > 0.0 && wi.z > 0.0
+    (wo.z > 0.0) & (wi.z > 0.0)
 }
 
 /// The mirror image of `w` in the normal.

@@ -21,7 +21,7 @@ pub struct Plastic {
 
 impl Plastic {
     /// From Mitsuba's parameters. `nonlinear` lets the base's colour deepen by the reflections inside.
-    #[inline]
+    #[inline(always)]
     pub fn new(eta: f32, nonlinear: bool, diffuse_reflectance: Vec3, specular_reflectance: Vec3) -> Self {
         let inside = fresnel::diffuse_reflectance(1.0 / eta);
         Self {
@@ -33,7 +33,7 @@ impl Plastic {
     }
 
     /// The base's part, and the density of choosing it.
-    #[inline]
+    #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         if !both_above(wo, wi) {
             return Evaluation::default();
@@ -44,7 +44,7 @@ impl Plastic {
     }
 
     /// The mirror direction, or the base by the cosine.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
         if wo.z <= 0.0 {
             return None;
@@ -61,33 +61,33 @@ impl Plastic {
     }
 
     /// Probability of the mirror direction.
-    #[inline]
+    #[inline(always)]
     pub fn mirror_share(&self, wo: Vec3) -> f32 {
         share_of_mirror(self.reflectance(wo), self.preference)
     }
 
-    #[inline]
+    #[inline(always)]
     fn reflectance(&self, w: Vec3) -> f32 {
         fresnel::dielectric(w.z, self.eta).reflectance
     }
 }
 
 /// The base's albedo summed over reflections `inside` the coat, over η²: a / (1 − a r), or with the colour kept a / (1 − r).
-#[inline]
+#[inline(always)]
 pub fn base_from_within(albedo: Vec3, inside: f32, eta: f32, nonlinear: bool) -> Vec3 {
     let lost = if nonlinear { albedo * inside } else { Vec3::splat(inside) };
     albedo / ((Vec3::ONE - lost) * (eta * eta))
 }
 
 /// Which of the coat and the base is brighter by its colour: 1 is the coat alone.
-#[inline]
+#[inline(always)]
 pub fn preference(specular: Vec3, diffuse: Vec3) -> f32 {
     let (s, d) = (specular.max_element(), diffuse.max_element());
     if s + d > 0.0 { s / (s + d) } else { 0.5 }
 }
 
 /// Probability to choose the coat where it reflects `reflectance`.
-#[inline]
+#[inline(always)]
 pub fn share_of_mirror(reflectance: f32, preference: f32) -> f32 {
     let (coat, base) = (reflectance * preference, (1.0 - reflectance) * (1.0 - preference));
     if coat + base > 0.0 { coat / (coat + base) } else { 0.5 }

@@ -19,7 +19,7 @@ pub struct RoughConductor {
 
 impl RoughConductor {
     /// F D G / (4 cos θo) and the density of reflecting off a visible facet.
-    #[inline]
+    #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         if !both_above(wo, wi) {
             return Evaluation::default();
@@ -30,7 +30,7 @@ impl RoughConductor {
     }
 
     /// Off a visible facet; what goes below the surface is absorbed.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, u: Vec2) -> Option<Sample> {
         if wo.z <= 0.0 {
             return None;
@@ -44,7 +44,7 @@ impl RoughConductor {
         (pdf > 0.0).then(|| Sample { wi, weight: self.colour(wo, m) * weight, pdf, eta: 1.0 })
     }
 
-    #[inline]
+    #[inline(always)]
     fn colour(&self, wo: Vec3, m: Vec3) -> Vec3 {
         self.specular_reflectance * fresnel::conductor(wo.dot(m).clamp(0.0, 1.0), self.eta, self.k)
     }

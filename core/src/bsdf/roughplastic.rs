@@ -41,7 +41,7 @@ pub struct RoughPlastic<'a> {
 
 impl<'a> RoughPlastic<'a> {
     /// From Mitsuba's parameters. `nonlinear` lets the base's colour deepen by the reflections inside.
-    #[inline]
+    #[inline(always)]
     pub fn new(coat: &'a RoughCoat, nonlinear: bool, diffuse_reflectance: Vec3, specular_reflectance: Vec3) -> Self {
         let base = base_from_within(diffuse_reflectance, coat.internal_reflectance, coat.eta, nonlinear);
         let preference = preference(specular_reflectance, diffuse_reflectance);
@@ -49,7 +49,7 @@ impl<'a> RoughPlastic<'a> {
     }
 
     /// The coat's reflection and the base's, and the density of choosing between facets and cosine.
-    #[inline]
+    #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         if !both_above(wo, wi) {
             return Evaluation::default();
@@ -66,7 +66,7 @@ impl<'a> RoughPlastic<'a> {
     }
 
     /// Off a visible facet, or from the base by the cosine.
-    #[inline]
+    #[inline(always)]
     pub fn sample(&self, wo: Vec3, lobe: f32, u: Vec2) -> Option<Sample> {
         if wo.z <= 0.0 {
             return None;
@@ -104,7 +104,7 @@ impl RoughCoat {
     }
 
     /// The table, linear between its entries.
-    #[inline]
+    #[inline(always)]
     fn transmittance(&self, cos: f32) -> f32 {
         let x = cos * (TABLE - 1) as f32;
         let i = (x as usize).min(TABLE - 2);

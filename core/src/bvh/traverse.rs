@@ -49,12 +49,13 @@ impl Slabs {
         let d = ray.direction.to_array();
         let largest = d[0].abs().max(d[1].abs()).max(d[2].abs());
         let least = (largest * LEAST_DIRECTION).max(f32::MIN_POSITIVE);
-        let entry = d.map(|x| 1.0 / if x.abs() < least { least.copysign(x) } else { x });
+        let reciprocal = |x: f32| 1.0 / if x.abs() < least { least.copysign(x) } else { x };
+        let entry = [reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2])];
         Self {
             origin: ray.origin.to_array(),
             entry,
-            exit: entry.map(|r| r * EXIT_PAD),
-            entry_side: entry.map(|r| usize::from(r < 0.0)),
+            exit: [entry[0] * EXIT_PAD, entry[1] * EXIT_PAD, entry[2] * EXIT_PAD],
+            entry_side: [usize::from(entry[0] < 0.0), usize::from(entry[1] < 0.0), usize::from(entry[2] < 0.0)],
         }
     }
 

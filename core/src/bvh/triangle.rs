@@ -116,7 +116,7 @@ impl<'a> Blocks<'a> {
     #[inline(always)]
     pub fn new(ray: &Ray, blocks: &'a [Block]) -> Self {
         let d = ray.direction.to_array();
-        let [x, y, z] = d.map(f32::abs);
+        let [x, y, z] = [d[0].abs(), d[1].abs(), d[2].abs()];
         let axes = if x > y && x > z {
             [1, 2, 0]
         } else if y > z {
@@ -124,11 +124,11 @@ impl<'a> Blocks<'a> {
         } else {
             [0, 1, 2]
         };
-        let [dx, dy, dz] = axes.map(|axis| d[axis]);
+        let [dx, dy, dz] = [d[axes[0]], d[axes[1]], d[axes[2]]];
         Self {
             blocks,
             axes,
-            origin: axes.map(|axis| ray.origin[axis]),
+            origin: [ray.origin[axes[0]], ray.origin[axes[1]], ray.origin[axes[2]]],
             shear: [dx / dz, dy / dz],
             scale: 1.0 / dz,
             nearest: Nearest { t: ray.t_max, v: 0.0, w: 0.0, det: 1.0, triangle: u32::MAX },
@@ -186,10 +186,11 @@ fn in_own_box<L: Lanes>(lanes: L, slabs: &Slabs, block: &Block, mask: u32, t: L:
     };
     // The same as `triangle_bounds`.
     let sides = [tight(0), tight(1), tight(2)];
-    let [x, y, z] = sides.map(|[lower, upper]| upper.sub(lower));
-    let extent = x.max(y).max(z).mul(splat(EXTENT_PAD));
+    let size = |axis: usize| sides[axis][1].sub(sides[axis][0]);
+    let extent = size(0).max(size(1)).max(size(2)).mul(splat(EXTENT_PAD));
     let pad = |side: L::X4| extent.add(side.max(splat(0.0).sub(side)).mul(splat(VERTEX_PAD)));
-    let padded = sides.map(|[lower, upper]| [lower.sub(pad(lower)), upper.add(pad(upper))]);
+    let apart = |[lower, upper]: [L::X4; 2]| [lower.sub(pad(lower)), upper.add(pad(upper))];
+    let padded = [apart(sides[0]), apart(sides[1]), apart(sides[2])];
     let (near, far) = slabs.spans(lanes, |axis, side| padded[axis][side], f32::INFINITY);
     let t = t.max(near);
     (mask & near.le(far) & t.le(splat(t_max)), t)
@@ -208,7 +209,7 @@ impl<L: Lanes> Leaves<L> for Blocks<'_> {
             let Some(inside) = self.test(lanes, slabs, block, self.nearest.t) else {
                 continue;
             };
-            let [t, v, w, det] = [inside.t, inside.v, inside.w, inside.det].map(L::X4::store);
+            let (t, v, w, det) = (inside.t.store(), inside.v.store(), inside.w.store(), inside.det.store());
             let mut mask = inside.mask;
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize & (BLOCK - 1);
@@ -226,8 +227,12 @@ impl<L: Lanes> Leaves<L> for Blocks<'_> {
     #[inline(always)]
     fn any(&mut self, lanes: L, slabs: &Slabs, leaf: Leaf, t_max: f32) -> bool {
         let first = leaf.first as usize;
-        self.blocks[first..first + leaf.count as usize]
-            .iter()
-            .any(|block| self.test(lanes, slabs, block, t_max).is_some())
+        // A loop, since what iterators call is compiled for the oldest processor.
+        for block in &self.blocks[first..first + leaf.count as usize] {
+            if self.test(lanes, slabs, block, t_max).is_some() {
+                return true;
+            }
+        }
+        false
     }
 }

@@ -229,7 +229,7 @@ impl<L: Lanes> Leaves<L> for Visit<'_> {
             // A little farther: the formulas of analytic shapes may find a hit nearer than their box, by rounding, and one that
             // is just as far as the nearest so far must not be lost.
             let (group, ray) = self.group(i, best.map_or(t_max, |(t, ..)| t) * BEYOND);
-            let Some(hit) = group.closest_of_own(lanes, &ray) else { continue };
+            let Some(hit) = group.closest_of_own(lanes, &ray, group.bvh.closest(lanes, &ray)) else { continue };
             let t = hit.t().max(entry);
             if t <= t_max && best.is_none_or(|(other, first, _)| (t, i) < (other, first)) {
                 best = Some((t, i, hit));

@@ -1,6 +1,6 @@
 //! The lists of a geometry while they grow, and meshes on their way into them.
 
-use super::{NONE, ShapeTable};
+use super::{NONE, ShapeTable, face_normal};
 use crate::scene::{Geometry as Form, Mesh, MeshId, Scene, Shape};
 use crate::shape::Analytic;
 use glam::{Vec2, Vec3};
@@ -38,6 +38,18 @@ impl Meshes {
         *uses -= 1;
         if *uses == 0 { std::mem::take(mesh) } else { mesh.clone() }
     }
+}
+
+/// How far a normal may be from that of its triangle and still say nothing else: what files round away.
+const FLAT: f32 = 1e-4;
+
+/// Whether the normals of a mesh are those of its triangles, which then need not be kept, looked up or interpolated.
+fn is_flat(mesh: &Mesh) -> bool {
+    mesh.triangles.iter().all(|triangle| {
+        let (normal, is_sure) = face_normal(triangle.map(|i| mesh.positions[i as usize]));
+        let is_its_own = |i: &u32| (mesh.normals[*i as usize].normalize_or_zero() - normal).length() < FLAT;
+        is_sure && triangle.iter().all(is_its_own)
+    })
 }
 
 /// The common lists while they grow.
@@ -83,7 +95,7 @@ impl Lists {
             let first = self.positions.len() as u32;
             table.first_vertex = first;
             table.primitives = mesh.triangles.len() as u32;
-            if !mesh.normals.is_empty() {
+            if !mesh.normals.is_empty() && !is_flat(&mesh) {
                 table.first_normal = self.normals.len() as u32;
                 self.normals.extend(&mesh.normals);
             }

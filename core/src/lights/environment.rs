@@ -98,7 +98,8 @@ impl Environment {
         let lower = c * (1.0 - cell.x) + d * cell.x;
         let radiance = (upper * (1.0 - cell.y) + lower * cell.y) * self.scale;
 
-        let [a, b, c, d] = [a, b, c, d].map(|texel| distribution.weight(luminance(texel)));
+        let weight = |texel: Vec3| distribution.weight(luminance(texel));
+        let (a, b, c, d) = (weight(a), weight(b), weight(c), weight(d));
         let mean = 0.25 * (a + b + c + d);
         let upper = a * (1.0 - cell.x) + b * cell.x;
         let lower = c * (1.0 - cell.x) + d * cell.x;
@@ -116,7 +117,8 @@ impl Environment {
         let stride = self.image.width as usize + 1;
         let (column, u) = choose(&distribution.columns[row * stride..][..stride], u.x);
         let corners = self.corners(textures, column, row);
-        let [a, b, c, d] = corners.map(|texel| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE));
+        let weight = |texel: Vec3| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE);
+        let (a, b, c, d) = (weight(corners[0]), weight(corners[1]), weight(corners[2]), weight(corners[3]));
         let down = inverse_linear(v, a + b, c + d);
         let across = inverse_linear(u, a + (c - a) * down, b + (d - b) * down);
         let height = self.heights[row] + (self.heights[row + 1] - self.heights[row]) * down;
@@ -157,8 +159,8 @@ impl Environment {
     fn corners(&self, textures: &Textures, column: usize, row: usize) -> [Vec3; 4] {
         let width = self.image.width as usize;
         let next = if column + 1 == width { 0 } else { column + 1 };
-        [(column, row), (next, row), (column, row + 1), (next, row + 1)]
-            .map(|(x, y)| textures.texel(&self.image, y * width + x))
+        let at = |x: usize, y: usize| textures.texel(&self.image, y * width + x);
+        [at(column, row), at(next, row), at(column, row + 1), at(next, row + 1)]
     }
 }
 

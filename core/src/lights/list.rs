@@ -6,15 +6,15 @@ use super::luminance;
 use super::spot::Spot;
 use crate::bvh::{Aabb, Boxes};
 use crate::geometry::Geometry;
-use crate::scene::{Emitter, Scene, TextureId};
+use crate::scene::{Emitter, Scene, Texture, TextureId};
 use crate::texture::Textures;
 use glam::Vec3;
 use std::f32::consts::PI;
 
 /// What has one density.
 pub enum Light {
-    /// A triangle that emits.
-    Triangle { triangle: u32, area: f32, radiance: TextureId },
+    /// A triangle that emits; a plain one is flat and shines alike everywhere.
+    Triangle { triangle: u32, area: f32, radiance: TextureId, is_plain: bool },
     /// An analytic surface that emits.
     Analytic { index: u32, radiance: TextureId },
     /// What lies beyond the scene.
@@ -58,7 +58,8 @@ pub fn list(scene: &Scene, geometry: &Geometry, textures: &Textures) -> (Vec<Lis
     for (i, shape) in scene.shapes.iter().enumerate() {
         let Some(radiance) = shape.radiance else { continue };
         let brightness = luminance(textures.mean(radiance));
-        lights.extend(geometry.primitives(i).map(|p| surface(geometry, p, radiance, brightness)));
+        let is_even = matches!(scene.textures[radiance.0 as usize], Texture::Constant(_));
+        lights.extend(geometry.primitives(i).map(|p| surface(geometry, p, radiance, brightness, is_even)));
     }
     let (_, radius) = geometry.bounding_ball();
     let mut background = None;
@@ -77,11 +78,14 @@ pub fn boxes(scene: &Scene, geometry: &Geometry) -> Boxes {
     Boxes::new(shapes.filter(|(_, shape)| shape.radiance.is_some()).map(|(i, _)| around(i)).collect())
 }
 
-fn surface(geometry: &Geometry, primitive: u32, radiance: TextureId, brightness: f32) -> Listed {
+fn surface(geometry: &Geometry, primitive: u32, radiance: TextureId, brightness: f32, is_even: bool) -> Listed {
     let area = geometry.area(primitive);
     let light = match geometry.analytic_index(primitive) {
         Some(index) => Light::Analytic { index, radiance },
-        None => Light::Triangle { triangle: primitive, area, radiance },
+        None => {
+            let is_plain = is_even && geometry.is_plain(primitive);
+            Light::Triangle { triangle: primitive, area, radiance, is_plain }
+        }
     };
     let (axis, cos_normals) = geometry.normal_cone(primitive);
     let power = PI * area * brightness;

@@ -7,6 +7,7 @@ mod background;
 mod choice;
 mod environment;
 mod list;
+mod plain;
 mod spot;
 #[cfg(test)]
 mod tests;
@@ -16,14 +17,15 @@ mod triangle;
 use crate::bvh::simd::Lanes;
 use crate::bvh::{Boxes, Ray};
 use crate::geometry::Geometry;
-use crate::scene::{Scene, TextureId};
-use crate::shape::area_to_solid_angle;
+use crate::scene::Scene;
 use crate::surface::Surface;
 use crate::texture::Textures;
 use background::Background;
 use choice::Choice;
 use glam::{Vec2, Vec3};
 use list::Light;
+pub use plain::Plain;
+use plain::from_surface;
 
 /// All lights and their probabilities.
 pub struct Lights {
@@ -86,33 +88,59 @@ impl Lights {
         self.reachable.as_ref().is_none_or(|boxes| boxes.meets(lanes, ray))
     }
 
-    /// Light to the surface from a light chosen by `choice` or by `u` alone, at its point chosen by `u`; none where none can come. With `mis`
-    /// BSDF sampling looks for light too, and what it finds better may be left to it.
+    /// A light for a surface point at `position` with the shading normal `normal`, chosen by `choice` or by `u` alone; none where
+    /// none can shine.
+    #[inline(always)]
+    pub fn choose(&self, position: Vec3, normal: Vec3, choice: f32, mut u: Vec2) -> Option<Chosen> {
+        let chooser = if self.one_number { &mut u.x } else { &mut { choice } };
+        let (light, probability) = self.choice.sample(chooser, position, normal)?;
+        Some(Chosen { light, probability, u })
+    }
+
+    /// Whether [`Lights::choose`] needs a number of its own.
+    #[inline(always)]
+    pub fn needs_choice(&self) -> bool {
+        !self.one_number
+    }
+
+    /// The light as one that [`Plain::sample`] does for, if it is.
+    #[inline(always)]
+    pub fn plain(&self, geometry: &Geometry, textures: &Textures, light: u32) -> Option<Plain> {
+        match self.lights[light as usize] {
+            Light::Triangle { triangle, area, radiance, is_plain: true } => {
+                let (corners, radiance) = (geometry.vertices(triangle), textures.at_uv(radiance, Vec2::ZERO));
+                Some(Plain { corners, area, radiance })
+            }
+            _ => None,
+        }
+    }
+
+    /// Light to the surface from the light chosen, at its point chosen by what is left of `u`; none where none can come. With
+    /// `mis` BSDF sampling looks for light too, and what it finds better may be left to it.
     #[inline(always)]
     pub fn sample(
         &self,
         geometry: &Geometry,
         textures: &Textures,
         surface: &Surface,
-        choice: impl FnOnce() -> f32,
-        mut u: Vec2,
+        Chosen { light, probability, u }: Chosen,
         mis: bool,
     ) -> Option<LightSample> {
-        let chooser = if self.one_number { &mut u.x } else { &mut choice() };
-        let (i, probability) = self.choice.sample(chooser, surface.position, surface.frame.n)?;
-        match self.lights[i as usize] {
-            Light::Triangle { triangle, area, radiance } => {
+        match self.lights[light as usize] {
+            Light::Triangle { triangle, area, radiance, .. } => {
                 let vertices = geometry.vertices(triangle);
                 let (b, density) = triangle::sample(vertices, surface.position, u);
                 let point = geometry.triangle_surface(triangle, b);
-                let pdf = density
-                    .unwrap_or_else(|| area_to_solid_angle(1.0 / area, surface.position, point.position, point.normal));
-                from_surface(textures, radiance, surface, &point, pdf * probability)
+                let pdf = density.at(surface.position, point.position, area, point.normal) * probability;
+                let (sample, shines) = from_surface(textures.at(radiance, &point), surface, &point, pdf);
+                shines.then_some(sample)
             }
             Light::Analytic { index, radiance } => {
                 let (point, pdf) = geometry.analytic(index).sample(surface.position, u)?;
                 let point = geometry.analytic_point(index, point);
-                from_surface(textures, radiance, surface, &point, pdf * probability)
+                let radiance = textures.at(radiance, &point);
+                let (sample, shines) = from_surface(radiance, surface, &point, pdf * probability);
+                shines.then_some(sample)
             }
             Light::Background => {
                 let (background, _) = self.background.as_ref()?;
@@ -177,20 +205,15 @@ impl Lights {
     }
 }
 
-#[inline(always)]
-fn from_surface(
-    textures: &Textures,
-    radiance: TextureId,
-    surface: &Surface,
-    point: &Surface,
-    pdf: f32,
-) -> Option<LightSample> {
-    let wi = (point.position - surface.position).normalize();
-    if !(pdf > 0.0 && pdf < f32::INFINITY && point.frame.n.dot(wi) < 0.0) {
-        return None;
-    }
-    let weight = textures.at(radiance, point) / pdf;
-    Some(LightSample { wi, weight, pdf, shadow_ray: surface.ray_to(point) })
+/// A light that was chosen.
+#[derive(Clone, Copy, Debug)]
+pub struct Chosen {
+    /// Which.
+    pub light: u32,
+    /// How likely that was.
+    pub probability: f32,
+    /// Numbers for a point on it.
+    pub u: Vec2,
 }
 
 /// Light from a point, of the intensity that it has in the direction to the surface.

@@ -13,56 +13,66 @@ const SMALL: f32 = 0.25;
 /// planes coincide (Pharr, Jakob & Humphreys 2023, §6.5.4).
 const SOLID_ANGLES: std::ops::Range<f32> = 3e-4..6.22;
 
-/// A point of the triangle to light `from` from: the barycentric coordinates of vertices 1 and 2, and its density in solid angle
-/// where that does not depend on the point (else the density is [`pdf`]'s).
+/// A point of the triangle to light `from` from: the barycentric coordinates of vertices 1 and 2, and the density.
 #[inline(always)]
-pub fn sample(vertices: [Vec3; 3], from: Vec3, u: Vec2) -> (Vec2, Option<f32>) {
+pub fn sample(vertices: [Vec3; 3], from: Vec3, u: Vec2) -> (Vec2, Density) {
     let corners = Corners::new(vertices, from);
-    match corners.solid_angle {
-        Some(area) => (barycentric(vertices, from, corners.sample(area, u)), Some(1.0 / area)),
-        None => (uniform_triangle(u), None),
-    }
+    let on_sphere = barycentric(vertices, from, corners.sample(u));
+    (if corners.density.is_even { on_sphere } else { uniform_triangle(u) }, corners.density)
 }
 
 /// The density of [`sample`] in solid angle at a `point` of the triangle, whose area and unit normal are given.
 #[inline(always)]
 pub fn pdf(vertices: [Vec3; 3], from: Vec3, point: Vec3, area: f32, normal: Vec3) -> f32 {
-    match Corners::new(vertices, from).solid_angle {
-        Some(solid_angle) => 1.0 / solid_angle,
-        None => area_to_solid_angle(1.0 / area, from, point, normal),
+    Corners::new(vertices, from).density.at(from, point, area, normal)
+}
+
+/// How points are spread over a triangle.
+#[derive(Clone, Copy, Debug)]
+pub struct Density {
+    /// Over its solid angle, or else over its area.
+    is_even: bool,
+    /// The solid angle, meaningless if not even.
+    solid_angle: f32,
+}
+
+impl Density {
+    /// In solid angle, at a point of the triangle seen from `from`, with its area and unit normal.
+    #[inline(always)]
+    pub fn at(&self, from: Vec3, point: Vec3, area: f32, normal: Vec3) -> f32 {
+        let by_area = area_to_solid_angle(1.0 / area, from, point, normal);
+        if self.is_even { 1.0 / self.solid_angle } else { by_area }
     }
 }
 
 /// A triangle as a point sees it.
 struct Corners {
-    /// Directions to the vertices, of unit length where there is a solid angle.
+    /// Directions to the vertices, of unit length where points are spread over the solid angle.
     directions: [Vec3; 3],
-    /// None below [`SMALL`] and outside [`SOLID_ANGLES`].
-    solid_angle: Option<f32>,
+    density: Density,
 }
 
 impl Corners {
     /// The solid angle is that of Van Oosterom & Strackee 1983: tan(Ω/2) = |a·(b×c)| / (1 + a·b + b·c + c·a).
     #[inline(always)]
     fn new(vertices: [Vec3; 3], from: Vec3) -> Self {
-        let [a, b, c] = vertices.map(|v| v - from);
-        // From afar, before any root: Ω = area · cos θ / d² = |a·(b×c)| / 2d³ with the nearest corner's distance d.
+        let [a, b, c] = [vertices[0] - from, vertices[1] - from, vertices[2] - from];
+        // From afar: Ω = area · cos θ / d² = |a·(b×c)| / 2d³ with the nearest corner's distance d.
         let volume = a.dot((b - a).cross(c - a));
         let nearest2 = a.length_squared().min(b.length_squared()).min(c.length_squared());
-        if volume * volume < 4.0 * SMALL * SMALL * (nearest2 * nearest2 * nearest2) {
-            return Self { directions: [a, b, c], solid_angle: None };
-        }
-        let directions @ [a, b, c] = [a, b, c].map(Vec3::normalize_or_zero);
+        let is_small = volume * volume < 4.0 * SMALL * SMALL * (nearest2 * nearest2 * nearest2);
+        let directions @ [a, b, c] = [a.normalize_or_zero(), b.normalize_or_zero(), c.normalize_or_zero()];
         let volume = a.dot(b.cross(c)).abs();
         let sum = 1.0 + a.dot(b) + b.dot(c) + c.dot(a);
         let solid_angle = 2.0 * atan2(volume, sum);
-        Self { directions, solid_angle: Some(solid_angle).filter(|area| SOLID_ANGLES.contains(area)) }
+        let is_in_range = SOLID_ANGLES.contains(&solid_angle);
+        Self { directions, density: Density { is_even: !is_small & is_in_range, solid_angle } }
     }
 
     /// A direction uniform over the spherical triangle of this area (Arvo 1995, "Stratified Sampling of Spherical Triangles").
     #[inline(always)]
-    fn sample(&self, area: f32, u: Vec2) -> Vec3 {
-        let [a, b, c] = self.directions;
+    fn sample(&self, u: Vec2) -> Vec3 {
+        let ([a, b, c], area) = (self.directions, self.density.solid_angle);
         // The angle α at a, between the planes of its two sides.
         let (to_b, to_c) = (orthogonal(b, a), orthogonal(c, a));
         let (cos_alpha, sin_alpha) = (to_b.dot(to_c), to_b.cross(to_c).length());
@@ -92,13 +102,11 @@ fn barycentric([p0, p1, p2]: [Vec3; 3], from: Vec3, direction: Vec3) -> Vec2 {
     let (e1, e2) = (p1 - p0, p2 - p0);
     let across = direction.cross(e2);
     let determinant = across.dot(e1);
-    if determinant == 0.0 {
-        return Vec2::splat(1.0 / 3.0);
-    }
     let s = from - p0;
     let b1 = (s.dot(across) / determinant).clamp(0.0, 1.0);
     let b2 = (direction.dot(s.cross(e1)) / determinant).clamp(0.0, 1.0);
-    Vec2::new(b1, b2) / (b1 + b2).max(1.0)
+    let inside = Vec2::new(b1, b2) / (b1 + b2).max(1.0);
+    if determinant == 0.0 { Vec2::splat(1.0 / 3.0) } else { inside }
 }
 
 #[cfg(test)]
@@ -123,7 +131,7 @@ mod tests {
                 let u = Vec2::new((i / n) as f32 + 0.5, (i % n) as f32 + 0.5) / n as f32;
                 let (b, density) = sample(TRIANGLE, from, u);
                 let again = pdf(TRIANGLE, from, at(b), area, normal);
-                let density = density.unwrap_or_else(|| area_to_solid_angle(1.0 / area, from, at(b), normal));
+                let density = density.at(from, at(b), area, normal);
                 assert!((density - again).abs() <= 1e-5 * again, "{density}, {again}");
                 let by_area = uniform_triangle(u);
                 let area_density = area_to_solid_angle(1.0 / area, from, at(by_area), normal);
@@ -140,6 +148,6 @@ mod tests {
 
     #[test]
     fn tiny_triangles_are_sampled_by_area() {
-        assert!(sample(TRIANGLE, Vec3::splat(300.0), Vec2::splat(0.3)).1.is_none());
+        assert!(!sample(TRIANGLE, Vec3::splat(300.0), Vec2::splat(0.3)).1.is_even);
     }
 }

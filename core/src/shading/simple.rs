@@ -37,14 +37,14 @@ impl Coats {
     }
 
     /// The table of a rough plastic.
-    #[inline]
+    #[inline(always)]
     fn of(&self, id: BsdfId) -> &RoughCoat {
         &self.tables[self.of_bsdf[id.0 as usize]]
     }
 }
 
 /// The closure of a model that nests no other; `id` is its own.
-#[inline]
+#[inline(always)]
 pub fn closure<'a>(bsdf: &Bsdf, coats: &'a Coats, id: BsdfId, textures: &Textures, surface: &Surface) -> Closure<'a> {
     let value = |id: &TextureId| textures.at(*id, surface);
     let scalar = |id: &TextureId| value(id).x;

@@ -94,7 +94,7 @@ impl Lanes for Portable {
         (entries, count)
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn run<K: Kernel>(self, kernel: K) -> K::Output {
         kernel.run(self)
     }

@@ -242,6 +242,7 @@ impl Lanes for Avx2 {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        #[inline(never)]
         #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn enter<K: Kernel>(lanes: Avx2, kernel: K) -> K::Output {
             kernel.run(lanes)
@@ -262,6 +263,7 @@ impl Lanes for Avx512 {
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        #[inline(never)]
         #[target_feature(enable = "avx512f,avx512vl,avx512bw,avx512dq,avx2,bmi1,bmi2,lzcnt,popcnt")]
         fn enter<K: Kernel>(lanes: Avx512, kernel: K) -> K::Output {
             kernel.run(lanes)

@@ -1,0 +1,395 @@
+//! At surfaces: light sampled there, and the ray that goes on.
+
+use super::wave::{State, WIDTH, Wave};
+use super::{BRANCHES, Estimator, power_heuristic};
+use crate::bsdf::{Diffuse, Evaluation, Sample};
+use crate::bvh::simd::{Kernel, Lanes};
+use crate::lights::Plain;
+use crate::sampler::{Sampler, Slot};
+use crate::settings::{IntegratorKind, SamplerKind, Strategy};
+use crate::shading::Shading;
+use crate::witness::{Cause, Event, Witness};
+use crate::world::World;
+use glam::{Vec2, Vec3};
+
+impl Estimator {
+    /// Gains light that the surfaces in hand scatter, and gives their paths the next rays, or ends them.
+    #[inline(always)]
+    pub(super) fn scatter<L: Lanes, W: Witness>(
+        &self,
+        lanes: L,
+        world: &World,
+        wave: &mut Wave,
+        like: &Sampler,
+        branch: Option<u32>,
+        witness: &mut W,
+    ) {
+        lanes.run(Draw { wave, like: *like, branch });
+        let mut count = 0;
+        for i in 0..WIDTH {
+            wave.chosen[count] = i;
+            count += usize::from(wave.state[i] == State::Surface);
+        }
+        if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !world.lights.is_empty() {
+            self.direct(lanes, world, wave, count, witness);
+        }
+        self.choose_directions(lanes, wave, count);
+        lanes.run(Step { wave, estimator: *self });
+        for k in 0..count {
+            self.go_on(wave, wave.chosen[k], witness);
+        }
+    }
+
+    /// Next-event estimation: light from one point of one light, if the way is free.
+    #[inline(always)]
+    fn direct<L: Lanes, W: Witness>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize, witness: &mut W) {
+        let with_bsdf = self.strategy == Strategy::Mis;
+        let plain = lanes.run(ChooseLights { world, wave, count });
+        if plain > 0 {
+            lanes.run(PlainLights(wave));
+        }
+        if plain < count {
+            lanes.run(OtherLights { world, wave, count, with_bsdf });
+        }
+        lanes.run(Evaluate(wave, with_bsdf));
+        let mut rays = 0;
+        for k in 0..count {
+            let i = wave.chosen[k];
+            if !wave.lights.is_some[i] {
+                continue;
+            }
+            if !wave.is_diffuse[i] {
+                let (shading, wo, wi) = (&wave.shadings[i], wave.wo.at(i), wave.lights.wi.at(i));
+                let Evaluation { value, pdf } = lanes.run(Eval { shading, wo, wi });
+                weigh(wave, i, value, pdf, with_bsdf);
+            }
+            let lights = &wave.lights;
+            if lights.value.at(i) == Vec3::ZERO {
+                witness.see(|| self.light_event(wave, i, false, Vec3::ZERO));
+                continue;
+            }
+            let ray = crate::bvh::Ray {
+                origin: lights.origin.at(i),
+                direction: lights.direction.at(i),
+                t_max: lights.t_max[i],
+            };
+            (wave.rays[rays], wave.owners[rays]) = (ray, i);
+            rays += 1;
+        }
+        world.geometry.occluded_many(lanes, &wave.rays[..rays], &mut wave.occluded[..rays]);
+        for k in 0..rays {
+            let i = wave.owners[k];
+            let visible = !wave.occluded[k];
+            let all = wave.throughput.at(i) * wave.share[i] * wave.lights.value.at(i);
+            let gained = if visible { all } else { Vec3::ZERO };
+            witness.see(|| self.light_event(wave, i, visible, gained));
+            wave.gain(i, gained);
+        }
+    }
+
+    fn light_event(&self, wave: &Wave, i: usize, visible: bool, gained: Vec3) -> Event {
+        let lights = &wave.lights;
+        let (wi, pdf, bsdf_pdf, mis) = (lights.wi.at(i), lights.pdf[i], lights.bsdf_pdf[i], lights.mis[i]);
+        Event::Light { wi, pdf, bsdf_pdf, mis, visible, gained }
+    }
+
+    /// Chooses a direction for every path. Mirrors and glass have theirs whatever the strategy.
+    #[inline(always)]
+    fn choose_directions<L: Lanes>(&self, lanes: L, wave: &mut Wave, count: usize) {
+        let by_bsdf = matches!(self.strategy, Strategy::Bsdf | Strategy::Light | Strategy::Mis);
+        if by_bsdf {
+            lanes.run(Directions(wave));
+        }
+        for k in 0..count {
+            let i = wave.chosen[k];
+            if by_bsdf && wave.is_diffuse[i] {
+                continue;
+            }
+            if wave.is_diffuse[i] {
+                wave.remember_diffuse(i);
+            }
+            let (lobe, u) = (wave.numbers.lobe[i], wave.numbers.direction.at(i));
+            let shading = &wave.shadings[i];
+            let sample = lanes.run(Continue { estimator: self, shading, wo: wave.wo.at(i), lobe, u });
+            let frame = shading.frame;
+            wave.next.set(i, sample.unwrap_or(NOWHERE), sample.is_some(), &frame);
+        }
+    }
+
+    /// Says how a path goes on after [`Step`].
+    #[inline(always)]
+    fn go_on<W: Witness>(&self, wave: &mut Wave, i: usize, witness: &mut W) {
+        let mut cause = None;
+        if !wave.next.is_some[i] {
+            cause = Some(Cause::Absorbed);
+        } else {
+            let next = &wave.next;
+            let (wi, pdf, weight) = (next.wi.at(i), next.pdf[i], next.weight.at(i));
+            witness.see(|| Event::Continuation { wi, pdf, weight });
+            let (survival, survived) = (wave.survival[i], wave.survived[i]);
+            if survival < 1.0 {
+                witness.see(|| Event::Roulette { survival, survived });
+            }
+            if !survived {
+                cause = Some(Cause::Roulette);
+            } else if wave.throughput.at(i) == Vec3::ZERO {
+                cause = Some(Cause::Absorbed);
+            }
+        }
+        wave.state[i] = if cause.is_none() { State::Ray } else { State::End };
+        if let Some(cause) = cause {
+            witness.see(|| Event::End(cause));
+        }
+    }
+}
+
+/// Weighs all paths by what their surfaces do, plays roulette, and makes the rays.
+struct Step<'a, 'w> {
+    wave: &'a mut Wave<'w>,
+    estimator: Estimator,
+}
+
+impl Kernel for Step<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self { wave, estimator } = self;
+        let max_depth = estimator.max_depth().unwrap_or(u32::MAX);
+        let roulette = estimator.roulette();
+        let is_direct = estimator.integrator.kind == IntegratorKind::Direct;
+        let is_whitted = estimator.integrator.kind == IntegratorKind::Whitted;
+        for i in 0..WIDTH {
+            let is_delta = wave.next.pdf[i] == f32::INFINITY;
+            let throughput = wave.throughput.at(i) * wave.next.weight.at(i);
+            let eta = wave.eta[i] * wave.next.eta[i];
+            let depth = wave.depth[i] + 1;
+            let is_last = is_direct | (is_whitted & !is_delta) | (depth.saturating_add(1) >= max_depth);
+            let survival = if is_last { 1.0 } else { roulette.survival(throughput, eta, depth) };
+            let plays = survival < 1.0;
+            wave.survival[i] = survival;
+            wave.survived[i] = !plays | (wave.numbers.roulette[i] < survival);
+            wave.throughput.set(i, if plays { throughput / survival } else { throughput });
+            wave.eta[i] = eta;
+            wave.depth[i] = depth;
+            wave.is_last[i] = is_last;
+            let ray = wave.surfaces.at(i).ray(wave.next.wi.at(i), f32::INFINITY);
+            wave.set_ray(i, &ray);
+            wave.from.position.set(i, wave.surfaces.position.at(i));
+            wave.from.normal.set(i, wave.surfaces.frame.n.at(i));
+            wave.from.pdf[i] = wave.next.pdf[i];
+        }
+    }
+}
+
+/// Draws the numbers of all surfaces, those of one branch of the paths if they have several.
+struct Draw<'a, 'w> {
+    wave: &'a mut Wave<'w>,
+    like: Sampler,
+    branch: Option<u32>,
+}
+
+impl Draw<'_, '_> {
+    #[inline(always)]
+    fn draw(self, kind: SamplerKind) {
+        let Self { wave, like, branch } = self;
+        let branches = if branch.is_some() { BRANCHES } else { 1 };
+        for i in 0..WIDTH {
+            let whole = wave.samplers.at(i, wave.depth[i], kind, &like);
+            let forked = wave.share[i] < 1.0;
+            let sampler = whole.branch(if forked { branch.unwrap_or(0) } else { 0 }, if forked { branches } else { 1 });
+            wave.numbers.direction.set(i, sampler.two(Slot::Direction));
+            wave.numbers.light_point.set(i, sampler.two(Slot::LightPoint));
+            wave.numbers.light[i] = sampler.one(Slot::Light);
+            wave.numbers.roulette[i] = sampler.one(Slot::Roulette);
+        }
+    }
+}
+
+impl Kernel for Draw<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        // A loop of its own for the usual kind, which becomes one of vectors.
+        match self.like.kind() {
+            SamplerKind::Sobol => self.draw(SamplerKind::Sobol),
+            kind => self.draw(kind),
+        }
+    }
+}
+
+/// Chooses a light for every surface; how many of them are plain.
+struct ChooseLights<'a, 'w> {
+    world: &'a World,
+    wave: &'a mut Wave<'w>,
+    count: usize,
+}
+
+impl Kernel for ChooseLights<'_, '_> {
+    type Output = usize;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) -> usize {
+        let Self { world, wave, count } = self;
+        let mut plain = 0;
+        let needs_choice = world.lights.needs_choice();
+        wave.is_plain = [false; WIDTH];
+        for k in 0..count {
+            let i = wave.chosen[k];
+            wave.light[i] = super::wave::NONE;
+            wave.lights.is_some[i] = false;
+            if !wave.is_diffuse[i] && wave.shadings[i].closure.is_delta() {
+                continue;
+            }
+            let (position, normal) = (wave.surfaces.position.at(i), wave.surfaces.frame.n.at(i));
+            let choice = if needs_choice { wave.numbers.light[i] } else { 0.0 };
+            let u = wave.numbers.light_point.at(i);
+            let Some(chosen) = world.lights.choose(position, normal, choice, u) else { continue };
+            wave.lights.probability[i] = chosen.probability;
+            wave.lights.u.set(i, chosen.u);
+            wave.light[i] = chosen.light;
+            if let Some(light) = world.lights.plain(&world.geometry, &world.textures, chosen.light) {
+                wave.triangles.set_corners(i, light.corners);
+                wave.triangles.extra.set(i, light.radiance);
+                wave.triangles.area[i] = light.area;
+                wave.is_plain[i] = true;
+                plain += 1;
+            }
+        }
+        plain
+    }
+}
+
+/// Samples the lights that are not plain.
+struct OtherLights<'a, 'w> {
+    world: &'a World,
+    wave: &'a mut Wave<'w>,
+    count: usize,
+    with_bsdf: bool,
+}
+
+impl Kernel for OtherLights<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self { world, wave, count, with_bsdf } = self;
+        for k in 0..count {
+            let i = wave.chosen[k];
+            if wave.is_plain[i] || wave.light[i] == super::wave::NONE {
+                continue;
+            }
+            let (light, probability, u) = (wave.light[i], wave.lights.probability[i], wave.lights.u.at(i));
+            let chosen = crate::lights::Chosen { light, probability, u };
+            let surface = wave.surfaces.at(i);
+            let sample = world.lights.sample(&world.geometry, &world.textures, &surface, chosen, with_bsdf);
+            wave.lights.is_some[i] = sample.is_some();
+            if let Some(sample) = sample {
+                wave.lights.set(i, &sample);
+            }
+        }
+    }
+}
+
+/// What a surface does with light that was sampled.
+struct Eval<'a> {
+    shading: &'a Shading<'a>,
+    wo: Vec3,
+    wi: Vec3,
+}
+
+impl Kernel for Eval<'_> {
+    type Output = Evaluation;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) -> Evaluation {
+        self.shading.eval(self.wo, self.shading.frame.to_local(self.wi))
+    }
+}
+
+/// A direction for a path to go on.
+struct Continue<'a> {
+    estimator: &'a Estimator,
+    shading: &'a Shading<'a>,
+    wo: Vec3,
+    lobe: f32,
+    u: Vec2,
+}
+
+impl Kernel for Continue<'_> {
+    type Output = Option<Sample>;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) -> Self::Output {
+        self.estimator.continuation(self.shading, self.wo, self.lobe, self.u)
+    }
+}
+
+/// Samples the plain lights of all surfaces.
+struct PlainLights<'a, 'w>(&'a mut Wave<'w>);
+
+impl Kernel for PlainLights<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let wave = self.0;
+        for i in 0..WIDTH {
+            let triangles = &wave.triangles;
+            let light =
+                Plain { corners: triangles.corners(i), area: triangles.area[i], radiance: triangles.extra.at(i) };
+            let (sample, shines) = light.sample(&wave.surfaces.at(i), wave.lights.probability[i], wave.lights.u.at(i));
+            wave.lights.is_some[i] = shines & wave.is_plain[i];
+            wave.lights.set(i, &sample);
+        }
+    }
+}
+
+/// Evaluates all diffuse surfaces for the light that was sampled.
+struct Evaluate<'a, 'w>(&'a mut Wave<'w>, bool);
+
+impl Kernel for Evaluate<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self(wave, with_bsdf) = self;
+        for i in 0..WIDTH {
+            let diffuse = Diffuse { reflectance: wave.albedo.at(i) };
+            let wi = wave.frame.at(i).to_local(wave.lights.wi.at(i));
+            let Evaluation { value, pdf } = diffuse.eval(wave.wo.at(i), wi);
+            weigh(wave, i, value, pdf, with_bsdf);
+        }
+    }
+}
+
+/// Chooses the directions of all diffuse surfaces.
+struct Directions<'a, 'w>(&'a mut Wave<'w>);
+
+impl Kernel for Directions<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let wave = self.0;
+        for i in 0..WIDTH {
+            let diffuse = Diffuse { reflectance: wave.albedo.at(i) };
+            let (sample, is_some) = diffuse.sample_flagged(wave.wo.at(i), wave.numbers.direction.at(i));
+            wave.next.set(i, sample, is_some, &wave.frame.at(i));
+        }
+    }
+}
+
+/// What a surface makes of the light that was sampled for it.
+#[inline(always)]
+fn weigh(wave: &mut Wave, i: usize, value: Vec3, pdf: f32, with_bsdf: bool) {
+    let lights = &mut wave.lights;
+    let mis = if with_bsdf { power_heuristic(lights.pdf[i], pdf) } else { 1.0 };
+    lights.value.set(i, value * lights.weight.at(i) * mis);
+    lights.bsdf_pdf[i] = pdf;
+    lights.mis[i] = mis;
+}
+
+/// No direction.
+const NOWHERE: Sample = Sample { wi: Vec3::Z, weight: Vec3::ZERO, pdf: 0.0, eta: 1.0 };

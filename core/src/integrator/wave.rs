@@ -1,0 +1,433 @@
+//! Many paths at once, laid out for loops over all of them.
+
+use super::rows::{Vec2s, Vec3s};
+use super::{Origin, Tag};
+use crate::bsdf::{Closure, Diffuse, Sample};
+use crate::bvh::Ray;
+use crate::frame::Frame;
+use crate::geometry::Hit;
+use crate::lights::LightSample;
+use crate::sampler::Samplers;
+use crate::shading::Shading;
+use crate::surface::Surface;
+use crate::witness::{Event, Witness};
+use glam::Vec3;
+
+/// Paths under way at a time.
+pub const WIDTH: usize = 128;
+
+/// Stands for "none".
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Where a path is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub(super) enum State {
+    /// There is none.
+    Idle,
+    /// A ray is to be followed.
+    Ray,
+    /// At a surface that is to scatter it.
+    Surface,
+    /// At its end: its radiance is known.
+    End,
+}
+
+/// How the rays in hand came about: what weighs an emitter that they find.
+pub(super) struct Origins {
+    /// Where they start.
+    pub position: Vec3s,
+    /// The shading normal there.
+    pub normal: Vec3s,
+    /// Density of the direction, in solid angle; infinite where light sampling could not have found it.
+    pub pdf: [f32; WIDTH],
+}
+
+impl Origins {
+    #[inline(always)]
+    pub fn at(&self, i: usize) -> Origin {
+        Origin { position: self.position.at(i), normal: self.normal.at(i), pdf: self.pdf[i] }
+    }
+}
+
+/// Surface points, as [`Surface`].
+pub(super) struct Surfaces {
+    pub position: Vec3s,
+    pub error: Vec3s,
+    pub normal: Vec3s,
+    pub frame: Frames,
+    pub uv: Vec2s,
+    pub barycentric: Vec2s,
+    pub shape: [u32; WIDTH],
+    pub instance: [u32; WIDTH],
+    pub primitive: [u32; WIDTH],
+    pub light: [u32; WIDTH],
+}
+
+pub(super) struct Frames {
+    pub s: Vec3s,
+    pub t: Vec3s,
+    pub n: Vec3s,
+}
+
+impl Frames {
+    const ZERO: Self = Self { s: Vec3s::ZERO, t: Vec3s::ZERO, n: Vec3s::ZERO };
+
+    #[inline(always)]
+    pub fn at(&self, i: usize) -> Frame {
+        Frame { s: self.s.at(i), t: self.t.at(i), n: self.n.at(i) }
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, frame: &Frame) {
+        self.s.set(i, frame.s);
+        self.t.set(i, frame.t);
+        self.n.set(i, frame.n);
+    }
+}
+
+impl Surfaces {
+    #[inline(always)]
+    pub fn at(&self, i: usize) -> Surface {
+        let some = |x: u32| (x != NONE).then_some(x);
+        Surface {
+            position: self.position.at(i),
+            error: self.error.at(i),
+            normal: self.normal.at(i),
+            frame: self.frame.at(i),
+            uv: self.uv.at(i),
+            barycentric: self.barycentric.at(i),
+            shape: self.shape[i],
+            instance: some(self.instance[i]),
+            primitive: self.primitive[i],
+            light: some(self.light[i]),
+        }
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, surface: &Surface) {
+        self.position.set(i, surface.position);
+        self.error.set(i, surface.error);
+        self.normal.set(i, surface.normal);
+        self.frame.set(i, &surface.frame);
+        self.uv.set(i, surface.uv);
+        self.barycentric.set(i, surface.barycentric);
+        self.shape[i] = surface.shape;
+        self.instance[i] = surface.instance.unwrap_or(NONE);
+        self.primitive[i] = surface.primitive;
+        self.light[i] = surface.light.unwrap_or(NONE);
+    }
+}
+
+/// Triangles: vertices, and an interpolated normal or the radiance of a light.
+pub(super) struct Triangles {
+    pub corners: [Vec3s; 3],
+    pub extra: Vec3s,
+    pub area: [f32; WIDTH],
+}
+
+impl Triangles {
+    #[inline(always)]
+    pub fn corners(&self, i: usize) -> [Vec3; 3] {
+        [self.corners[0].at(i), self.corners[1].at(i), self.corners[2].at(i)]
+    }
+
+    #[inline(always)]
+    pub fn set_corners(&mut self, i: usize, [a, b, c]: [Vec3; 3]) {
+        self.corners[0].set(i, a);
+        self.corners[1].set(i, b);
+        self.corners[2].set(i, c);
+    }
+}
+
+/// What light sampling finds, as [`crate::lights::LightSample`], and what becomes of it.
+pub(super) struct LightSamples {
+    pub probability: [f32; WIDTH],
+    pub u: Vec2s,
+    /// There is light.
+    pub is_some: [bool; WIDTH],
+    pub wi: Vec3s,
+    pub weight: Vec3s,
+    pub pdf: [f32; WIDTH],
+    pub origin: Vec3s,
+    pub direction: Vec3s,
+    pub t_max: [f32; WIDTH],
+    /// What the surface makes of it, and how likely it would have chosen the direction.
+    pub value: Vec3s,
+    pub bsdf_pdf: [f32; WIDTH],
+    pub mis: [f32; WIDTH],
+}
+
+impl LightSamples {
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, sample: &LightSample) {
+        self.wi.set(i, sample.wi);
+        self.weight.set(i, sample.weight);
+        self.pdf[i] = sample.pdf;
+        self.origin.set(i, sample.shadow_ray.origin);
+        self.direction.set(i, sample.shadow_ray.direction);
+        self.t_max[i] = sample.shadow_ray.t_max;
+    }
+}
+
+/// Directions to go on, as [`crate::bsdf::Sample`].
+pub(super) struct Samples {
+    pub is_some: [bool; WIDTH],
+    pub wi: Vec3s,
+    pub weight: Vec3s,
+    pub pdf: [f32; WIDTH],
+    pub eta: [f32; WIDTH],
+}
+
+impl Samples {
+    /// Keeps a direction of the frame's space, or that there is none.
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, Sample { wi, weight, pdf, eta }: Sample, is_some: bool, frame: &Frame) {
+        self.is_some[i] = is_some;
+        self.wi.set(i, frame.to_world(wi));
+        self.weight.set(i, weight);
+        self.pdf[i] = pdf;
+        self.eta[i] = eta;
+    }
+}
+
+/// Random numbers of a surface.
+pub(super) struct Numbers {
+    pub lobe: [f32; WIDTH],
+    pub direction: Vec2s,
+    pub light: [f32; WIDTH],
+    pub light_point: Vec2s,
+    pub roulette: [f32; WIDTH],
+}
+
+/// What branches of a path have in common, kept while one of them goes on.
+pub(super) struct Stem {
+    pub throughput: Vec3s,
+    pub eta: [f32; WIDTH],
+    pub depth: [u32; WIDTH],
+    pub lobe: [f32; WIDTH],
+}
+
+/// [`WIDTH`] paths as far as they have come. What is meaningless in a path's state may be anything.
+pub(super) struct Wave<'w> {
+    pub state: [State; WIDTH],
+    pub tags: [Tag; WIDTH],
+    pub radiance: Vec3s,
+    pub samplers: Samplers<WIDTH>,
+
+    pub origin: Vec3s,
+    pub direction: Vec3s,
+    pub t_max: [f32; WIDTH],
+    pub from: Origins,
+    /// Segments so far.
+    pub depth: [u32; WIDTH],
+    /// f |cos θ| / p of all surfaces.
+    pub throughput: Vec3s,
+    /// The path's part in the sample: less than one where it branches.
+    pub share: [f32; WIDTH],
+    /// Product of the relative indices of refraction.
+    pub eta: [f32; WIDTH],
+    /// The ray in hand is the last: only what it finds shining matters.
+    pub is_last: [bool; WIDTH],
+
+    pub surfaces: Surfaces,
+    pub triangles: Triangles,
+    pub is_sure: [bool; WIDTH],
+    /// The material looks alike from both sides but for the direction of its normal, and whether the path sees the back.
+    pub is_two_sided: [bool; WIDTH],
+    pub is_turned: [bool; WIDTH],
+    /// The shading frame.
+    pub frame: Frames,
+    /// Local.
+    pub wo: Vec3s,
+    /// How light scatters, where that is not plainly diffuse.
+    pub shadings: [Shading<'w>; WIDTH],
+    pub is_diffuse: [bool; WIDTH],
+    pub albedo: Vec3s,
+
+    pub numbers: Numbers,
+    /// The light that was chosen, or [`NONE`]; whether it is plain; and what comes from there.
+    pub light: [u32; WIDTH],
+    pub is_plain: [bool; WIDTH],
+    pub lights: LightSamples,
+    pub next: Samples,
+    pub survival: [f32; WIDTH],
+    pub survived: [bool; WIDTH],
+    pub stem: Option<Box<Stem>>,
+
+    /// Rays on their way to the hierarchy, the paths that they belong to, and the answers.
+    pub rays: [Ray; WIDTH],
+    pub owners: [usize; WIDTH],
+    pub hits: [Option<Hit>; WIDTH],
+    pub occluded: [bool; WIDTH],
+    /// Some paths, by their numbers.
+    pub chosen: [usize; WIDTH],
+}
+
+impl<'w> Wave<'w> {
+    /// No path; `tag` is any.
+    pub fn new(tag: Tag, branches: bool) -> Box<Self> {
+        let triangles = || Triangles { corners: [const { Vec3s::ZERO }; 3], extra: Vec3s::ZERO, area: [0.0; WIDTH] };
+        Box::new(Self {
+            state: [State::Idle; WIDTH],
+            tags: [tag; WIDTH],
+            radiance: Vec3s::ZERO,
+            samplers: Samplers::NONE,
+            origin: Vec3s::ZERO,
+            direction: Vec3s::ZERO,
+            t_max: [0.0; WIDTH],
+            from: Origins { position: Vec3s::ZERO, normal: Vec3s::ZERO, pdf: [0.0; WIDTH] },
+            depth: [0; WIDTH],
+            throughput: Vec3s::ZERO,
+            share: [1.0; WIDTH],
+            eta: [1.0; WIDTH],
+            is_last: [false; WIDTH],
+            surfaces: Surfaces {
+                position: Vec3s::ZERO,
+                error: Vec3s::ZERO,
+                normal: Vec3s::ZERO,
+                frame: Frames::ZERO,
+                uv: Vec2s::ZERO,
+                barycentric: Vec2s::ZERO,
+                shape: [0; WIDTH],
+                instance: [NONE; WIDTH],
+                primitive: [0; WIDTH],
+                light: [NONE; WIDTH],
+            },
+            triangles: triangles(),
+            is_sure: [true; WIDTH],
+            is_two_sided: [false; WIDTH],
+            is_turned: [false; WIDTH],
+            frame: Frames::ZERO,
+            wo: Vec3s::ZERO,
+            shadings: [Shading { closure: Closure::Null, frame: Frame::around(Vec3::Z), tilt: None }; WIDTH],
+            is_diffuse: [false; WIDTH],
+            albedo: Vec3s::ZERO,
+            numbers: Numbers {
+                lobe: [0.0; WIDTH],
+                direction: Vec2s::ZERO,
+                light: [0.0; WIDTH],
+                light_point: Vec2s::ZERO,
+                roulette: [0.0; WIDTH],
+            },
+            light: [NONE; WIDTH],
+            is_plain: [false; WIDTH],
+            lights: LightSamples {
+                probability: [0.0; WIDTH],
+                u: Vec2s::ZERO,
+                is_some: [false; WIDTH],
+                wi: Vec3s::ZERO,
+                weight: Vec3s::ZERO,
+                pdf: [0.0; WIDTH],
+                origin: Vec3s::ZERO,
+                direction: Vec3s::ZERO,
+                t_max: [0.0; WIDTH],
+                value: Vec3s::ZERO,
+                bsdf_pdf: [0.0; WIDTH],
+                mis: [0.0; WIDTH],
+            },
+            next: Samples {
+                is_some: [false; WIDTH],
+                wi: Vec3s::ZERO,
+                weight: Vec3s::ZERO,
+                pdf: [0.0; WIDTH],
+                eta: [1.0; WIDTH],
+            },
+            survival: [1.0; WIDTH],
+            survived: [true; WIDTH],
+            stem: branches.then(|| {
+                Box::new(Stem { throughput: Vec3s::ZERO, eta: [1.0; WIDTH], depth: [0; WIDTH], lobe: [0.0; WIDTH] })
+            }),
+            rays: [Ray { origin: Vec3::ZERO, direction: Vec3::Z, t_max: 0.0 }; WIDTH],
+            owners: [0; WIDTH],
+            hits: [None; WIDTH],
+            occluded: [false; WIDTH],
+            chosen: [0; WIDTH],
+        })
+    }
+
+    #[inline(always)]
+    pub fn ray(&self, i: usize) -> Ray {
+        Ray { origin: self.origin.at(i), direction: self.direction.at(i), t_max: self.t_max[i] }
+    }
+
+    #[inline(always)]
+    pub fn set_ray(&mut self, i: usize, ray: &Ray) {
+        self.origin.set(i, ray.origin);
+        self.direction.set(i, ray.direction);
+        self.t_max[i] = ray.t_max;
+    }
+
+    /// Keeps what is known of a diffuse surface like that of any other.
+    pub fn remember_diffuse(&mut self, i: usize) {
+        let closure = Closure::Diffuse(Diffuse { reflectance: self.albedo.at(i) });
+        self.shadings[i] = Shading { closure, frame: self.frame.at(i), tilt: None };
+    }
+
+    #[inline(always)]
+    pub fn gain(&mut self, i: usize, gained: Vec3) {
+        self.radiance.set(i, self.radiance.at(i) + gained);
+    }
+
+    /// The shading frame at a surface with this frame, if the material bends nothing, and the direction back along the path.
+    #[inline(always)]
+    pub fn see_from(&mut self, i: usize, frame: &Frame, is_two_sided: bool) {
+        let wo = -self.direction.at(i);
+        let is_turned = is_two_sided & (frame.n.dot(wo) < 0.0);
+        let n = if is_turned { -frame.n } else { frame.n };
+        let frame = Frame { n, ..*frame };
+        self.is_turned[i] = is_turned;
+        self.frame.set(i, &frame);
+        self.wo.set(i, frame.to_local(wo));
+    }
+
+    /// Begins a path with its camera ray.
+    #[inline(always)]
+    pub fn begin(&mut self, i: usize, ray: &Ray, is_last: bool) {
+        self.set_ray(i, ray);
+        self.from.position.set(i, ray.origin);
+        self.from.normal.set(i, Vec3::ZERO);
+        self.from.pdf[i] = f32::INFINITY;
+        self.radiance.set(i, Vec3::ZERO);
+        self.throughput.set(i, Vec3::ONE);
+        self.share[i] = 1.0;
+        self.eta[i] = 1.0;
+        self.depth[i] = 0;
+        self.is_last[i] = is_last;
+        self.state[i] = State::Ray;
+    }
+
+    /// Makes ready for branches, of this share each, the paths that are at surfaces which scatter into more than finitely many
+    /// directions.
+    pub fn fork(&mut self, share: f32) {
+        let Some(stem) = &mut self.stem else { return };
+        for i in 0..WIDTH {
+            if self.state[i] == State::Surface && (self.is_diffuse[i] || !self.shadings[i].closure.is_delta()) {
+                self.share[i] = share;
+                stem.throughput.set(i, self.throughput.at(i));
+                stem.eta[i] = self.eta[i];
+                stem.depth[i] = self.depth[i];
+                stem.lobe[i] = self.numbers.lobe[i];
+            }
+        }
+    }
+
+    /// Puts the paths that branch where they forked.
+    #[inline(always)]
+    pub fn begin_branch(&mut self, branch: u32, of: u32, witness: &mut impl Witness) {
+        let Some(stem) = &self.stem else { return };
+        for i in 0..WIDTH {
+            if self.state[i] == State::Idle || self.share[i] == 1.0 {
+                continue;
+            }
+            self.throughput.set(i, stem.throughput.at(i));
+            self.eta[i] = stem.eta[i];
+            self.depth[i] = stem.depth[i];
+            // Shifted, so that each of them is as even over [0, 1) as the first, and together they are more so.
+            let lobe = stem.lobe[i] + branch as f32 * (1.0 / of as f32);
+            self.numbers.lobe[i] = if lobe >= 1.0 { lobe - 1.0 } else { lobe };
+            self.state[i] = State::Surface;
+            witness.see(|| Event::Branch { number: branch + 1, of });
+        }
+    }
+}
