@@ -75,13 +75,25 @@ impl Camera {
     pub fn ray(&self, film: Vec2, lens: impl FnOnce() -> Vec2) -> CameraRay {
         let p = film * self.scale + self.offset;
         match self.projection {
-            Projection::Pinhole => self.through(Vec3::ZERO, Vec3::new(p.x, p.y, 1.0)),
+            Projection::Pinhole => self.pinhole_ray(film),
             Projection::Lens(Lens { aperture_radius, focus_distance }) => {
                 let on_lens = (concentric_disk(lens()) * aperture_radius).extend(0.0);
                 self.through(on_lens, Vec3::new(p.x, p.y, 1.0) * focus_distance - on_lens)
             }
             Projection::Orthographic => self.through(p.extend(0.0), Vec3::Z),
         }
+    }
+
+    /// Whether it has no lens and a perspective.
+    pub fn is_pinhole(&self) -> bool {
+        matches!(self.projection, Projection::Pinhole)
+    }
+
+    /// As [`Camera::ray`] of a pinhole.
+    #[inline(always)]
+    pub fn pinhole_ray(&self, film: Vec2) -> CameraRay {
+        let p = film * self.scale + self.offset;
+        self.through(Vec3::ZERO, Vec3::new(p.x, p.y, 1.0))
     }
 
     /// The ray from a point on the plane z = 0 of camera space in a direction of positive z.

@@ -79,7 +79,7 @@ impl Tracer {
 
     /// Where one sample of one pixel begins.
     fn start(&self, x: u32, y: u32, index: u32) -> Start {
-        let (ray, sampler, weight) = self.lens().ray(x, y, index, self.settings.sampler, self.filter.is_box());
+        let (ray, sampler, weight) = self.lens().ray(x, y, index, self.settings.sampler, false);
         Start { ray, sampler, tag: Tag { pixel: 0, index, weight } }
     }
 
@@ -96,7 +96,8 @@ impl Tracer {
     }
 }
 
-/// What makes camera rays: a copy, so that compilers see that no loop changes it.
+/// What makes camera rays.
+#[derive(Clone)]
 struct Lens<'a> {
     camera: Camera,
     filter: &'a FilterTable,
@@ -106,18 +107,25 @@ struct Lens<'a> {
 }
 
 impl Lens<'_> {
-    /// The ray of a sample, its random numbers, and its weight. `kind` and `is_box` are the settings'; a caller that names them
-    /// gets a loop without the others.
+    /// A pinhole and the box filter, which most renders have.
+    fn is_simple(&self) -> bool {
+        self.filter.is_box() && self.camera.is_pinhole()
+    }
+
+    /// The ray of a sample, its random numbers, and its weight. `kind` is the settings'; a caller that names it, or knows that
+    /// all [`Lens::is_simple`], gets a loop without what that does not need.
     #[inline(always)]
-    fn ray(&self, x: u32, y: u32, index: u32, kind: SamplerKind, is_box: bool) -> (Ray, Sampler, f32) {
+    fn ray(&self, x: u32, y: u32, index: u32, kind: SamplerKind, is_simple: bool) -> (Ray, Sampler, f32) {
         let sampler = Sampler::new(kind, self.seed, x, y, index, self.spp);
         let u = sampler.film();
-        let ((film_x, weight_x), (film_y, weight_y)) = if is_box {
+        let ((film_x, weight_x), (film_y, weight_y)) = if is_simple {
             (box_sample(x, u.x), box_sample(y, u.y))
         } else {
             (self.filter.sample(x, self.size[0], u.x), self.filter.sample(y, self.size[1], u.y))
         };
-        let CameraRay { origin, direction, t_max } = self.camera.ray(Vec2::new(film_x, film_y), || sampler.lens());
+        let film = Vec2::new(film_x, film_y);
+        let CameraRay { origin, direction, t_max } =
+            if is_simple { self.camera.pinhole_ray(film) } else { self.camera.ray(film, || sampler.lens()) };
         (Ray { origin, direction, t_max }, sampler, weight_x * weight_y)
     }
 }
@@ -149,13 +157,15 @@ struct TilePaths<'a> {
     /// The first that has no value, as far as is known.
     failed: Option<(u32, u32, RadianceError)>,
     /// Made ready in advance, many at a time.
-    ready: Box<Ready>,
+    ready: Box<Ready<'a>>,
     /// Those of them that have not begun yet.
     waiting: Range<usize>,
 }
 
 /// Beginnings of paths.
-struct Ready {
+struct Ready<'a> {
+    lens: Lens<'a>,
+    kind: SamplerKind,
     pixel: [u32; WIDTH],
     index: [u32; WIDTH],
     x: [u32; WIDTH],
@@ -171,6 +181,8 @@ impl<'a> TilePaths<'a> {
     fn new(tracer: &'a Tracer, tile: Window, samples: Range<u32>, stop: &'a AtomicBool) -> Self {
         let next = (0, samples.start);
         let ready = Box::new(Ready {
+            lens: tracer.lens(),
+            kind: tracer.settings.sampler,
             pixel: [0; WIDTH],
             index: [0; WIDTH],
             x: [0; WIDTH],
@@ -203,7 +215,7 @@ impl<'a> TilePaths<'a> {
             count += 1;
             self.next = if own + 1 == samples.end { (pixel + 1, samples.start) } else { (pixel, own + 1) };
         }
-        lanes.run(Cameras { tracer: self.tracer, ready: &mut self.ready });
+        lanes.run(Cameras(&mut self.ready));
         self.waiting = 0..count;
     }
 
@@ -247,18 +259,15 @@ impl Paths for TilePaths<'_> {
 }
 
 /// Makes camera rays and samplers for the pixels and samples that are given.
-struct Cameras<'a> {
-    tracer: &'a Tracer,
-    ready: &'a mut Ready,
-}
+struct Cameras<'a, 'b>(&'a mut Ready<'b>);
 
-impl Cameras<'_> {
+impl Cameras<'_, '_> {
     #[inline(always)]
-    fn make(self, kind: SamplerKind, is_box: bool) {
-        let Self { tracer, ready } = self;
-        let lens = tracer.lens();
+    fn make(self, kind: SamplerKind, is_simple: bool) {
+        let ready = self.0;
+        let lens = ready.lens.clone();
         for i in 0..WIDTH {
-            let (ray, sampler, weight) = lens.ray(ready.x[i], ready.y[i], ready.index[i], kind, is_box);
+            let (ray, sampler, weight) = lens.ray(ready.x[i], ready.y[i], ready.index[i], kind, is_simple);
             ready.origin.set(i, ray.origin);
             ready.direction.set(i, ray.direction);
             ready.t_max[i] = ray.t_max;
@@ -268,15 +277,15 @@ impl Cameras<'_> {
     }
 }
 
-impl Kernel for Cameras<'_> {
+impl Kernel for Cameras<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
         // A loop of its own for what is usual, which becomes one of vectors.
-        match (self.tracer.settings.sampler, self.tracer.filter.is_box()) {
+        match (self.0.kind, self.0.lens.is_simple()) {
             (SamplerKind::Sobol, true) => self.make(SamplerKind::Sobol, true),
-            (kind, is_box) => self.make(kind, is_box),
+            (kind, is_simple) => self.make(kind, is_simple),
         }
     }
 }

@@ -24,7 +24,7 @@ use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_p
 use crate::witness::Witness;
 use crate::world::World;
 use glam::{Vec2, Vec3};
-use wave::{State, WIDTH, Wave};
+use wave::{Rules, State, WIDTH, Wave};
 
 /// The largest probability to go on under Russian roulette, so that a path in a lossless scene ends some day.
 const CONTINUATION_MAX: f32 = 0.95;
@@ -103,7 +103,7 @@ impl Estimator {
         let Some(first) = paths.start(lanes) else { return };
         let like = first.sampler;
         let branches = self.integrator.kind == IntegratorKind::Direct && !self.without.splitting;
-        let mut wave = Wave::new(first.tag, branches);
+        let mut wave = Wave::new(self.rules(), first.tag, branches);
         self.begin(&mut wave, 0, first);
         while self.refill(lanes, &mut wave, paths) {
             self.arrive(lanes, world, &mut wave, &like, witness);
@@ -152,11 +152,16 @@ impl Estimator {
         self.integrator.max_depth.filter(|_| self.integrator.kind != IntegratorKind::Direct)
     }
 
-    /// When paths end by chance.
+    /// When paths end.
     #[inline(always)]
-    fn roulette(&self) -> Roulette {
+    fn rules(&self) -> Rules {
         let early_depth = if self.without.early_roulette { u32::MAX } else { EARLY_DEPTH };
-        Roulette { early_depth, depth: self.integrator.rr_depth }
+        Rules {
+            is_direct: self.integrator.kind == IntegratorKind::Direct,
+            is_whitted: self.integrator.kind == IntegratorKind::Whitted,
+            max_depth: self.max_depth().unwrap_or(u32::MAX),
+            roulette: Roulette { early_depth, depth: self.integrator.rr_depth },
+        }
     }
 
     /// Radiance from beyond the scene, and its weight.

@@ -1,12 +1,12 @@
 //! At surfaces: light sampled there, and the ray that goes on.
 
-use super::wave::{State, WIDTH, Wave};
+use super::wave::{Rules, State, WIDTH, Wave};
 use super::{BRANCHES, Estimator, power_heuristic};
 use crate::bsdf::{Diffuse, Evaluation, Sample};
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::lights::Plain;
 use crate::sampler::{Sampler, Slot};
-use crate::settings::{IntegratorKind, SamplerKind, Strategy};
+use crate::settings::{SamplerKind, Strategy};
 use crate::shading::Shading;
 use crate::witness::{Cause, Event, Witness};
 use crate::world::World;
@@ -24,7 +24,8 @@ impl Estimator {
         branch: Option<u32>,
         witness: &mut W,
     ) {
-        lanes.run(Draw { wave, like: *like, branch });
+        let chooses = world.lights.needs_choice();
+        lanes.run(Draw { wave, like: *like, branch, chooses });
         let mut count = 0;
         for i in 0..WIDTH {
             wave.chosen[count] = i;
@@ -34,7 +35,7 @@ impl Estimator {
             self.direct(lanes, world, wave, count, witness);
         }
         self.choose_directions(lanes, wave, count);
-        lanes.run(Step { wave, estimator: *self });
+        lanes.run(Step(wave));
         for k in 0..count {
             self.go_on(wave, wave.chosen[k], witness);
         }
@@ -144,21 +145,15 @@ impl Estimator {
 }
 
 /// Weighs all paths by what their surfaces do, plays roulette, and makes the rays.
-struct Step<'a, 'w> {
-    wave: &'a mut Wave<'w>,
-    estimator: Estimator,
-}
+struct Step<'a, 'w>(&'a mut Wave<'w>);
 
 impl Kernel for Step<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
-        let Self { wave, estimator } = self;
-        let max_depth = estimator.max_depth().unwrap_or(u32::MAX);
-        let roulette = estimator.roulette();
-        let is_direct = estimator.integrator.kind == IntegratorKind::Direct;
-        let is_whitted = estimator.integrator.kind == IntegratorKind::Whitted;
+        let wave = self.0;
+        let Rules { is_direct, is_whitted, max_depth, roulette } = wave.rules;
         for i in 0..WIDTH {
             let is_delta = wave.next.pdf[i] == f32::INFINITY;
             let throughput = wave.throughput.at(i) * wave.next.weight.at(i);
@@ -187,21 +182,29 @@ struct Draw<'a, 'w> {
     wave: &'a mut Wave<'w>,
     like: Sampler,
     branch: Option<u32>,
+    /// Lights are chosen by a number of their own.
+    chooses: bool,
 }
 
 impl Draw<'_, '_> {
     #[inline(always)]
     fn draw(self, kind: SamplerKind) {
-        let Self { wave, like, branch } = self;
+        let Self { wave, like, branch, chooses } = self;
         let branches = if branch.is_some() { BRANCHES } else { 1 };
-        for i in 0..WIDTH {
-            let whole = wave.samplers.at(i, wave.depth[i], kind, &like);
+        let branch = branch.unwrap_or(0);
+        let sampler = |wave: &Wave, i: usize| {
             let forked = wave.share[i] < 1.0;
-            let sampler = whole.branch(if forked { branch.unwrap_or(0) } else { 0 }, if forked { branches } else { 1 });
+            let whole = wave.samplers.at(i, wave.depth[i], kind, &like);
+            whole.branch(if forked { branch } else { 0 }, if forked { branches } else { 1 })
+        };
+        for i in 0..WIDTH {
+            let sampler = sampler(wave, i);
             wave.numbers.direction.set(i, sampler.two(Slot::Direction));
             wave.numbers.light_point.set(i, sampler.two(Slot::LightPoint));
-            wave.numbers.light[i] = sampler.one(Slot::Light);
             wave.numbers.roulette[i] = sampler.one(Slot::Roulette);
+        }
+        for i in 0..if chooses { WIDTH } else { 0 } {
+            wave.numbers.light[i] = sampler(wave, i).one(Slot::Light);
         }
     }
 }

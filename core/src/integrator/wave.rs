@@ -1,7 +1,7 @@
 //! Many paths at once, laid out for loops over all of them.
 
 use super::rows::{Vec2s, Vec3s};
-use super::{Origin, Tag};
+use super::{Origin, Roulette, Tag};
 use crate::bsdf::{Closure, Diffuse, Sample};
 use crate::bvh::Ray;
 use crate::frame::Frame;
@@ -208,8 +208,20 @@ pub(super) struct Stem {
     pub lobe: [f32; WIDTH],
 }
 
+/// When paths end. It lies with them, since compilers make vectors of loops only where there is one thing to point at.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rules {
+    /// After the first scattering.
+    pub is_direct: bool,
+    /// After the first that is not into finitely many directions.
+    pub is_whitted: bool,
+    pub max_depth: u32,
+    pub roulette: Roulette,
+}
+
 /// [`WIDTH`] paths as far as they have come. What is meaningless in a path's state may be anything.
 pub(super) struct Wave<'w> {
+    pub rules: Rules,
     pub state: [State; WIDTH],
     pub tags: [Tag; WIDTH],
     pub radiance: Vec3s,
@@ -266,9 +278,10 @@ pub(super) struct Wave<'w> {
 
 impl<'w> Wave<'w> {
     /// No path; `tag` is any.
-    pub fn new(tag: Tag, branches: bool) -> Box<Self> {
+    pub fn new(rules: Rules, tag: Tag, branches: bool) -> Box<Self> {
         let triangles = || Triangles { corners: [const { Vec3s::ZERO }; 3], extra: Vec3s::ZERO, area: [0.0; WIDTH] };
         Box::new(Self {
+            rules,
             state: [State::Idle; WIDTH],
             tags: [tag; WIDTH],
             radiance: Vec3s::ZERO,
