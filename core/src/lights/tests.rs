@@ -205,7 +205,16 @@ fn check(case: &Case, mis: bool, cases: usize) {
     let mut others = 0.0;
     for i in 0..DRAWS {
         let u = Vec2::new(number(i, 1), number(i, 2));
-        match lights.sample(&geometry, &textures, &surface, || number(i, 0), u, mis) {
+        // As waves do it: plain lights without the detour.
+        let chosen = lights.choose(surface.position, surface.frame.n, number(i, 0), u);
+        let sample = chosen.and_then(|chosen| match lights.plain(&geometry, &textures, chosen.light) {
+            Some(plain) => {
+                let (sample, shines) = plain.sample(&surface, chosen.probability, chosen.u);
+                shines.then_some(sample)
+            }
+            None => lights.sample(&geometry, &textures, &surface, chosen, mis),
+        });
+        match sample {
             Some(sample) => {
                 counts[cell(sample.wi)] += 1.0;
                 if i % 1000 == 0 {
