@@ -14,7 +14,7 @@ use tilecast_core::settings::Settings;
 use tilecast_proto::types::{JobId, JobSpec};
 
 const JOURNAL_KIND: &[u8; 16] = b"tilecast jrnl 01";
-const FILM_KIND: &[u8; 16] = b"tilecast film 01";
+const FILM_KIND: &[u8; 16] = b"tilecast film 02";
 /// A film that a file promises and nobody has memory for is refused by its settings' limits; the fuzzer need not wait for it.
 const FILM_PIXELS_MAX: u64 = 1 << 16;
 
