@@ -8,10 +8,15 @@
 //! Sample `i` of a pixel belongs to replicate `i % REPLICATES`. Replicates are independent of each other, so the spread of
 //! their means measures the error of the whole mean.
 
+mod estimate;
 pub mod file;
 pub mod ranges;
 pub mod records;
 pub mod sums;
+#[cfg(test)]
+mod tests;
+
+pub use estimate::{Estimate, RelativeError};
 
 use crate::scene::Digest;
 use crate::settings::{Half, Settings, Window};
@@ -173,31 +178,6 @@ pub struct Film {
     counts: Vec<[u32; REPLICATES]>,
 }
 
-/// What is known of a pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Estimate {
-    /// The mean radiance (linear sRGB, W·m⁻²·sr⁻¹).
-    pub mean: [f32; 3],
-    /// The estimated variance of that mean; infinite where fewer than two replicates have samples.
-    pub variance: [f32; 3],
-    /// Samples.
-    pub count: u64,
-}
-
-/// The estimated relative error of a picture: √(Σ variance of the mean / Σ mean²) over pixels and channels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RelativeError {
-    /// The estimate.
-    pub value: f32,
-    /// The lower end of its 95 % confidence interval.
-    pub low: f32,
-    /// The upper end.
-    pub high: f32,
-}
-
-/// 95 % of the normal distribution lie within so many standard deviations.
-const NORMAL_95: f64 = 1.96;
-
 impl Film {
     /// An empty film for a job.
     pub fn new(settings: &Settings) -> Self {
@@ -276,60 +256,6 @@ impl Film {
             .collect()
     }
 
-    /// Mean, variance of the mean, and count of the pixel (x, y) of the whole picture.
-    pub fn estimate(&self, x: u32, y: u32) -> Estimate {
-        let whole = self.half_estimate(x, y, Half::Both);
-        let [a, b] = [Half::First, Half::Second].map(|half| self.half_estimate(x, y, half));
-        if !self.halves || a.count == 0 || b.count == 0 {
-            return whole;
-        }
-        let i = self.index(x, y);
-        let mean = |half: Half, c: usize| {
-            let (sum, count) = half
-                .replicates()
-                .fold((0, 0), |(sum, count), r| (sum + self.sums[i].0[r][c], count + u64::from(self.counts[i][r])));
-            scale_down(sum as f64 / count as f64, self.scale_exponent)
-        };
-        // Rounded to f64 on the way, to f32 once.
-        let mean = std::array::from_fn(|c| (0.5 * (mean(Half::First, c) + mean(Half::Second, c))) as f32);
-        let variance = std::array::from_fn(|c| 0.25 * (a.variance[c] + b.variance[c]));
-        Estimate { mean, variance, count: whole.count }
-    }
-
-    /// The same from the replicates of a half alone.
-    pub fn half_estimate(&self, x: u32, y: u32, half: Half) -> Estimate {
-        let (i, replicates) = (self.index(x, y), half.replicates());
-        let (mut sums, mut counts) = ([[0; 3]; REPLICATES], [0; REPLICATES]);
-        sums[replicates.clone()].copy_from_slice(&self.sums[i].0[replicates.clone()]);
-        counts[replicates.clone()].copy_from_slice(&self.counts[i][replicates]);
-        let (sums, counts) = (&sums, &counts);
-        let count: u64 = counts.iter().map(|&c| u64::from(c)).sum();
-        let channel = |c: usize| {
-            let total: i128 = sums.iter().map(|s| s[c]).sum();
-            let variance = self.variance(std::array::from_fn(|r| sums[r][c]), counts);
-            (mean(total, count, self.scale_exponent), variance)
-        };
-        let channels: [(f32, f32); 3] = std::array::from_fn(channel);
-        Estimate { mean: channels.map(|(m, _)| m), variance: channels.map(|(_, v)| v), count }
-    }
-
-    /// Variance of the mean from the replicates' means m_r with n_r samples each: Σ n_r (m_r − m)² / (n (K − 1)) over the K
-    /// replicates that have samples, infinite for K < 2.
-    fn variance(&self, sums: [i128; REPLICATES], counts: &[u32; REPLICATES]) -> f32 {
-        let filled: Vec<(f64, f64)> = (sums.iter().zip(counts))
-            .filter(|&(_, &n)| n > 0)
-            .map(|(&s, &n)| (f64::from(n), s as f64 / f64::from(n)))
-            .collect();
-        if filled.len() < 2 {
-            return f32::INFINITY;
-        }
-        let n: f64 = filled.iter().map(|(n, _)| n).sum();
-        let m = filled.iter().map(|(n, m)| n * m).sum::<f64>() / n;
-        let spread: f64 = filled.iter().map(|(n, mean)| n * (mean - m) * (mean - m)).sum();
-        let fixed = spread / (n * (filled.len() - 1) as f64);
-        scale_down(scale_down(fixed, self.scale_exponent), self.scale_exponent) as f32
-    }
-
     /// BLAKE3 over window, scale, counts and sums: equal digests are equal images, to the last bit of every sum.
     pub fn digest(&self) -> Digest {
         let mut hasher = blake3::Hasher::new();
@@ -377,37 +303,6 @@ impl Film {
         valid.then_some(Self { window, scale_exponent, half: Half::Both, halves: false, sums, counts })
     }
 
-    /// The estimated relative error of the picture over at most `pixels_max` pixels spread evenly; `None` while too few
-    /// replicates have samples, or for a black picture.
-    pub fn relative_error(&self, pixels_max: u64) -> Option<RelativeError> {
-        let area = self.window.area();
-        let step = area.div_ceil(pixels_max.max(1)).max(1);
-        let (mut n, mut error, mut squares, mut power) = (0.0, 0.0, 0.0, 0.0);
-        for i in (0..area).step_by(usize::try_from(step).ok()?) {
-            let width = u64::from(self.window.width());
-            let estimate = self.estimate(self.window.x0 + (i % width) as u32, self.window.y0 + (i / width) as u32);
-            let variance = estimate.variance.iter().map(|&v| f64::from(v)).sum::<f64>();
-            n += 1.0;
-            error += variance;
-            squares += variance * variance;
-            power += estimate.mean.iter().map(|&m| f64::from(m) * f64::from(m)).sum::<f64>();
-        }
-        if !error.is_finite() || power <= 0.0 {
-            return None;
-        }
-        let value = (error / power).sqrt();
-        // A variance v estimated with ν degrees of freedom itself has the variance 2v²/ν, of which v̂² · 2/(ν + 2) is the unbiased
-        // estimate; pixels that were left out add how much the others differ.
-        let freedom = if self.halves { REPLICATES - 2 } else { REPLICATES - 1 };
-        let of_estimates = squares * 2.0 / (freedom as f64 + 2.0);
-        let of_pixels = (squares - error * error / n).max(0.0) * n / (n - 1.0).max(1.0);
-        let seen = n / area as f64;
-        let deviation = (seen * of_estimates + (1.0 - seen) * of_pixels).sqrt();
-        // The root halves relative deviations; an interval in the logarithm stays above zero.
-        let width = if error > 0.0 { libm::exp(0.5 * NORMAL_95 * deviation / error) } else { 1.0 };
-        Some(RelativeError { value: value as f32, low: (value / width) as f32, high: (value * width) as f32 })
-    }
-
     fn index(&self, x: u32, y: u32) -> usize {
         (y - self.window.y0) as usize * self.window.width() as usize + (x - self.window.x0) as usize
     }
@@ -429,153 +324,4 @@ fn replicate_counts(samples: &Range<u32>, replicates: Range<usize>) -> [u32; REP
         *count = (below(samples.end, place) - below(samples.start, place)) as u32;
     }
     counts
-}
-
-/// sum / (count · 2^scale), rounded once to f32 (nearest, ties to even), as long as the result is a normal number.
-fn mean(sum: i128, count: u64, scale_exponent: i32) -> f32 {
-    if sum == 0 || count == 0 {
-        return 0.0;
-    }
-    let magnitude = sum.unsigned_abs();
-    let shift = magnitude.leading_zeros();
-    let normalised = magnitude << shift;
-    // At least 127 − 34 significant bits; the lowest is made sticky, so that rounding to 24 bits sees what division lost.
-    let count = u128::from(count);
-    let quotient = (normalised / count) | u128::from(!normalised.is_multiple_of(count));
-    let rounded = f64::from(quotient as f32);
-    let value = scale_down(rounded, scale_exponent + shift as i32) as f32;
-    if sum < 0 { -value } else { value }
-}
-
-/// x · 2^-exponent, exact within f64's normal range.
-fn scale_down(x: f64, exponent: i32) -> f64 {
-    libm::ldexp(x, -exponent)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn film(width: u32, height: u32, brightest: f32) -> Film {
-        let window = Window { x0: 0, y0: 0, x1: width, y1: height };
-        let len = window.area() as usize;
-        Film {
-            window,
-            scale_exponent: scale_exponent(brightest),
-            half: Half::Both,
-            halves: false,
-            sums: vec![PixelSums::default(); len],
-            counts: vec![[0; REPLICATES]; len],
-        }
-    }
-
-    /// Fails for an f32 or f64 sum, and for a scale that leaves too few bits below the brightest radiance.
-    #[test]
-    fn a_billion_equal_samples_have_exactly_that_mean() {
-        for brightest in [1e-12f32, 1.0, 1e12] {
-            for relative in [1e-12f32, 0.3333, 1.0] {
-                let value = brightest * relative;
-                let scale = scale_exponent(brightest);
-                let fixed = to_fixed(value, scale).unwrap();
-                let sum = fixed * 1_000_000_007;
-                assert_eq!(mean(sum, 1_000_000_007, scale), value);
-            }
-        }
-    }
-
-    #[test]
-    fn the_mean_is_rounded_to_nearest() {
-        // (2^24 + 1) + (2^24 + 2) over two: halfway cases go to even, anything above goes up.
-        let one = |x: f32| to_fixed(x, 0).unwrap();
-        assert_eq!(mean(one(16_777_216.0) + 16_777_217, 2, 0), 16_777_216.0);
-        assert_eq!(mean(3 * one(16_777_216.0) + 4, 3, 0), 16_777_218.0);
-        assert_eq!(mean(-7, 2, 0), -3.5);
-    }
-
-    #[test]
-    fn what_is_no_radiance_is_refused() {
-        let mut pixel = PixelSums::default();
-        let scale = scale_exponent(1.0);
-        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-            assert!(matches!(pixel.add(0, Vec3::new(0.0, bad, 0.0), scale), Err(RadianceError::NotFinite(_))));
-        }
-        assert!(matches!(pixel.add(0, Vec3::splat(1e9), scale), Err(RadianceError::OutOfRange(_))));
-        assert_eq!(pixel, PixelSums::default());
-        assert!(pixel.add(0, Vec3::splat(1e7), scale).is_ok());
-    }
-
-    #[test]
-    fn the_variance_of_four_known_replicates() {
-        let mut film = film(1, 1, 4.0);
-        let mut part = TileSums::new(film.window, 0..4);
-        for (i, x) in [1.0, 2.0, 3.0, 4.0].into_iter().enumerate() {
-            part.pixels[0].add(i as u32, Vec3::splat(x), film.scale_exponent).unwrap();
-        }
-        film.merge(&part);
-        let estimate = film.estimate(0, 0);
-        assert_eq!(estimate.mean, [2.5; 3]);
-        // Sample variance 5/3 over 4 replicates.
-        assert!((estimate.variance[0] - 5.0 / 12.0).abs() < 1e-7);
-    }
-
-    /// Both halves' samples are those of the whole, and the mean of halves of different sizes weighs them equally.
-    #[test]
-    fn halves_make_the_whole() {
-        let value = |i: u32| Vec3::new(i as f32, 1.0 / (1 + i) as f32, 2.0);
-        let traced = |half: Half, own: Range<u32>| {
-            let mut film = Film { half, ..film(1, 1, 8.0) };
-            let mut part = TileSums::new(film.window, own.clone());
-            own.for_each(|own| {
-                let index = half.index(own);
-                part.pixels[0].add(index, value(index), film.scale_exponent).unwrap();
-            });
-            film.merge(&part);
-            film
-        };
-        let mut joined = traced(Half::First, 0..8);
-        joined.join(&traced(Half::Second, 0..8));
-        assert_eq!(Film { half: Half::Both, ..joined.clone() }, traced(Half::Both, 0..16));
-        joined.join(&traced(Half::First, 8..20));
-        joined.halves = true;
-        let mean = |half: Half, n: u32| (0..n).map(|own| half.index(own) as f32).sum::<f32>() / n as f32;
-        assert_eq!(joined.estimate(0, 0).mean[0], 0.5 * (mean(Half::First, 20) + mean(Half::Second, 8)));
-        assert_eq!(joined.estimate(0, 0).count, 28);
-    }
-
-    proptest! {
-        /// Any f32 within 2^47 of the brightest comes back exactly from one sample.
-        #[test]
-        fn conversion_is_exact(mantissa in 0x0080_0000u32..0x0100_0000, exponent in -46i32..24, negative: bool) {
-            let value = libm::ldexpf(mantissa as f32, exponent - 23) * if negative { -1.0 } else { 1.0 };
-            let scale = scale_exponent(1.0);
-            let fixed = to_fixed(value, scale).unwrap();
-            prop_assert_eq!(mean(fixed, 1, scale), value);
-        }
-
-        /// Merging in another order and grouping gives the same film, and the digest sees every change.
-        #[test]
-        fn merging_needs_no_order(values in prop::collection::vec(-1e3f32..1e6, 24), cut in 1u32..23) {
-            let whole = film(2, 1, 1e3);
-            let part = |range: Range<u32>| {
-                let mut part = TileSums::new(whole.window, range.clone());
-                for i in range {
-                    for pixel in &mut part.pixels {
-                        pixel.add(i, Vec3::splat(values[i as usize]), whole.scale_exponent).unwrap();
-                    }
-                }
-                part
-            };
-            let (mut once, mut forwards, mut backwards) = (whole.clone(), whole.clone(), whole.clone());
-            once.merge(&part(0..24));
-            forwards.merge(&part(0..cut));
-            prop_assert_ne!(forwards.digest(), once.digest());
-            forwards.merge(&part(cut..24));
-            backwards.merge(&part(cut..24));
-            backwards.merge(&part(0..cut));
-            prop_assert_eq!(&once, &forwards);
-            prop_assert_eq!(&once, &backwards);
-            prop_assert_eq!(once.digest(), backwards.digest());
-        }
-    }
 }

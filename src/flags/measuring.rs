@@ -1,7 +1,9 @@
 //! The flags of `compare` and `bench`.
 
+use super::cluster::CLIENTS;
+use super::rendering::{CHILDREN_MAX, PictureFlags};
 use super::security::ConnectFlags;
-use super::{CLIENTS, IsaFlags, PictureFlags, StyleFlags, Usage};
+use super::{IsaFlags, StyleFlags, Usage};
 use crate::bench::Bench;
 use crate::compare::Compare;
 use crate::scale::Scale;
@@ -95,7 +97,7 @@ pub struct ScaleFlags {
     #[command(flatten)]
     picture: PictureFlags,
     /// Numbers of worker processes to start, one after another
-    #[arg(long, value_name = "N,N,…", value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..=i64::from(super::CHILDREN_MAX)))]
+    #[arg(long, value_name = "N,N,…", value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..=i64::from(CHILDREN_MAX)))]
     workers: Vec<u32>,
     /// Threads of each
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(tilecast_proto::limits::THREADS_MAX)))]
