@@ -11,13 +11,13 @@ const SLIVER: f32 = 0.05;
 /// A point of a triangle, computed.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
-    /// As in [`Surface`].
+    /// As in [`crate::surface::Surface`].
     pub position: Vec3,
-    /// As in [`Surface`].
+    /// As in [`crate::surface::Surface`].
     pub error: Vec3,
-    /// As in [`Surface`].
+    /// As in [`crate::surface::Surface`].
     pub normal: Vec3,
-    /// As in [`Surface`].
+    /// As in [`crate::surface::Surface`].
     pub frame: Frame,
     /// The normal is good; else [`place_of_sliver`] has to find it.
     pub is_sure: bool,
