@@ -20,7 +20,7 @@
 mod journal;
 mod recover;
 
-pub use journal::Entry;
+pub use journal::{Entry, JOURNAL_KIND};
 pub use recover::{KeptJob, Piece, Recovered};
 
 use crate::disk::Disk;

@@ -14,7 +14,8 @@ use tilecast_core::film::records::{Kind, RecordWriter};
 use tilecast_core::settings::Window;
 use tilecast_proto::types::JobId;
 
-pub(super) const JOURNAL_KIND: Kind = *b"tilecast jrnl 01";
+/// What a journal begins with.
+pub const JOURNAL_KIND: Kind = *b"tilecast jrnl 01";
 /// What was appended is on the disk after this, whatever happens to the power.
 const SYNC_INTERVAL: Duration = Duration::from_secs(1);
 /// A journal is followed by a snapshot when it is longer than this,

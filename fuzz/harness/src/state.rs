@@ -4,23 +4,21 @@ use std::path::Path;
 use std::time::Duration;
 use tilecast_coordinator::disk::Disk;
 use tilecast_coordinator::ledger::RestoredJob;
-use tilecast_coordinator::store::{Piece, Store};
-use tilecast_core::film::file::{assemble, read};
-use tilecast_core::film::records::RecordWriter;
+use tilecast_coordinator::store::{Entry, JOURNAL_KIND, Piece, Store};
+use tilecast_core::film::file::{KIND, assemble, read};
+use tilecast_core::film::records::{Kind, RecordWriter};
 use tilecast_core::film::sums;
 use tilecast_core::load::{LoadOptions, load};
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::Settings;
 use tilecast_proto::types::{JobId, JobSpec};
 
-const JOURNAL_KIND: &[u8; 16] = b"tilecast jrnl 01";
-const FILM_KIND: &[u8; 16] = b"tilecast film 02";
 /// A film that a file promises and nobody has memory for is refused by its settings' limits; the fuzzer need not wait for it.
 const FILM_PIXELS_MAX: u64 = 1 << 16;
 
 /// Bytes as they are or, since no fuzzer guesses checksums, as the payloads of records that are whole: each has its length in two
 /// bytes before it.
-fn framed(bytes: &[u8], kind: [u8; 16]) -> Vec<u8> {
+fn framed(bytes: &[u8], kind: Kind) -> Vec<u8> {
     let Some((&first, mut rest)) = bytes.split_first() else { return Vec::new() };
     if first % 2 == 0 {
         return rest.to_vec();
@@ -36,7 +34,7 @@ fn framed(bytes: &[u8], kind: [u8; 16]) -> Vec<u8> {
 
 /// A film file.
 pub fn film(bytes: &[u8]) {
-    let bytes = framed(bytes, *FILM_KIND);
+    let bytes = framed(bytes, KIND);
     if let Ok((head, parts)) = read(&bytes[..])
         && head.settings.validate().is_ok()
         && u64::from(head.settings.film.width) * u64::from(head.settings.film.height) <= FILM_PIXELS_MAX
@@ -52,12 +50,12 @@ pub fn journal(bytes: &[u8]) {
     let id = JobId(1);
     let spec = job(folder.path(), id);
     let path = folder.path().join("jobs").join(id.0.to_string()).join("journal.1");
-    std::fs::write(path, framed(bytes, *JOURNAL_KIND)).expect("a file");
+    std::fs::write(path, framed(bytes, JOURNAL_KIND)).expect("a file");
     // A torn journal is no reason not to start.
     let (store, recovered) = Store::open(folder.path(), Disk::default()).expect("a state with a torn journal");
     assert_eq!(recovered.jobs.len(), 1);
     let taken = store.film(id, &spec, |piece| {
-        if let Piece::Entry(tilecast_coordinator::store::Entry::Unit { tile, sums: bytes, .. }) = piece
+        if let Piece::Entry(Entry::Unit { tile, sums: bytes, .. }) = piece
             && tile.area() <= FILM_PIXELS_MAX
         {
             drop(sums::decode(&bytes, tile.area() as usize));

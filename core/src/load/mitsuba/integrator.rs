@@ -48,17 +48,17 @@ pub(crate) const PLUGINS: &[Plugin] = &[
             unmodelled(
                 "shading_samples",
                 Takes::Integer(Some(1)),
-                "tilecast takes one light and one BSDF sample; give more samples a pixel instead",
+                "tilecast takes four of both, whatever the number; give more samples a pixel instead",
             ),
             unmodelled(
                 "emitter_samples",
                 Takes::Integer(Some(1)),
-                "tilecast takes one light sample, or none for 0; give more samples a pixel instead",
+                "tilecast takes four light samples, or none for 0; give more samples a pixel instead",
             ),
             unmodelled(
                 "bsdf_samples",
                 Takes::Integer(Some(1)),
-                "tilecast takes one BSDF sample, or none for 0; give more samples a pixel instead",
+                "tilecast takes four BSDF samples, or none for 0; give more samples a pixel instead",
             ),
         ],
         build: Build::Integrator(direct),
