@@ -107,6 +107,7 @@ def tilecast_renders(mitsuba, options):
                        '-o', str(out), '--quiet']
             command += [word for define in options.define for word in ('-D', define)]
             command += ['--size', '{}x{}'.format(*options.size)] if options.size else []
+            command += ['--offsets', options.offsets] if options.offsets else []
             subprocess.run(command, check=True)
             channels = oracle.read_exr(mitsuba, out)
             out.unlink()
@@ -135,6 +136,7 @@ def arguments():
     parser.add_argument('--spp', type=int, default=128, help='samples a pixel in each (128)')
     parser.add_argument('--tilecast', help='the tilecast binary; without it Mitsuba is only tested against itself')
     parser.add_argument('--tilecast-spp', type=int, help="tilecast's samples, where it needs fewer (as --spp)")
+    parser.add_argument('--offsets', choices=['exact', 'mitsuba'], help="where tilecast's rays start (exact)")
     parser.add_argument('--cache', default='target/mitsuba-cache', help='where to keep the renders of Mitsuba')
     parser.add_argument('--means', type=float, default=0.002, help='largest difference of the means, relative (0.002)')
     parser.add_argument('--size', type=size, metavar='WxH', help="the picture's, in place of the scene's own")

@@ -12,7 +12,7 @@ use tilecast_core::film::file::Head;
 use tilecast_core::film::ranges::Ranges;
 use tilecast_core::load::{LoadOptions, Loaded, Note, load};
 use tilecast_core::scene::{Scene, SceneBlobs};
-use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy, Window, Without};
+use tilecast_core::settings::{IntegratorKind, Offsets, SamplerKind, Settings, Strategy, Window, Without};
 
 /// What is to be rendered.
 #[derive(Clone, Debug)]
@@ -52,6 +52,8 @@ pub struct Overrides {
     pub sampler: Option<SamplerKind>,
     /// What saves work and shall not.
     pub without: Option<Without>,
+    /// Where rays leave surfaces.
+    pub offsets: Option<Offsets>,
     /// Longest path, or none.
     pub max_depth: Option<Option<u32>>,
 }
@@ -148,7 +150,7 @@ fn missing(base: &Kept, path: &Path, blobs: &SceneBlobs, settings: &Settings) ->
 
 impl Overrides {
     fn apply(&self, settings: &mut Settings) -> Result<(), Usage> {
-        let Settings { film, spp, seed, integrator, strategy, sampler, without, .. } = settings;
+        let Settings { film, spp, seed, integrator, strategy, sampler, without, offsets, .. } = settings;
         if let Some([width, height]) = self.size {
             (film.width, film.height) = (width, height);
             film.crop = Window { x0: 0, y0: 0, x1: width, y1: height };
@@ -170,6 +172,7 @@ impl Overrides {
         set(strategy, self.strategy);
         set(sampler, self.sampler);
         set(without, self.without);
+        set(offsets, self.offsets);
         Ok(())
     }
 }

@@ -26,6 +26,9 @@ pub struct Settings {
     /// Which of a pixel's replicates are sampled.
     #[serde(default)]
     pub half: Half,
+    /// Where rays leave surfaces.
+    #[serde(default)]
+    pub offsets: Offsets,
     /// Binary exponent of the film's fixed point: a radiance r is stored as round(r · 2^scale_exponent).
     pub scale_exponent: i32,
 }
@@ -74,6 +77,17 @@ impl Half {
             Half::Second => 2..4,
         }
     }
+}
+
+/// Where rays leave surfaces, and where those to lights end.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Offsets {
+    /// Just outside the bound on the rounding error of the point that they leave.
+    #[default]
+    Exact,
+    /// Where Mitsuba 3.9 has them: 9e-5 (1 + the largest coordinate) off the surface, and ending 9e-4 of the way before the light,
+    /// so that relief of that size casts no shadow. For comparisons with images of Mitsuba's.
+    Mitsuba,
 }
 
 /// The picture's geometry.

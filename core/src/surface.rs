@@ -2,6 +2,7 @@
 
 use crate::bvh::Ray;
 use crate::frame::Frame;
+use crate::settings::Offsets;
 use glam::{Vec2, Vec3};
 
 /// Half the distance from 1 to the next f32: the relative error of one rounded operation.
@@ -17,6 +18,32 @@ pub const fn gamma(n: u32) -> f32 {
 /// Where a shadow ray ends, as a share of the way to its target. A small and far sphere is met with an error that grows with
 /// the distance, not with the sphere: without a margin it would cast a shadow on itself.
 const SHADOW_END: f32 = 1.0 - 1e-4;
+
+/// Mitsuba's distance of rays from the surfaces that they leave, over 1 + the largest coordinate (`RayEpsilon` of its
+/// `math.h`).
+const MITSUBA_OFFSET: f32 = 1500.0 * UNIT_ROUNDOFF;
+/// What Mitsuba leaves out of the way to a light, as a share of it (`ShadowEpsilon`, likewise).
+const MITSUBA_SHADOW_GAP: f32 = 10.0 * MITSUBA_OFFSET;
+
+impl Offsets {
+    /// What is added to the error of a point, so that rays leave it where these offsets have them; `origin` is the scene's.
+    #[inline(always)]
+    pub(crate) fn further_error(self, position: Vec3, normal: Vec3, origin: Vec3) -> Vec3 {
+        match self {
+            Offsets::Exact => Vec3::ZERO,
+            Offsets::Mitsuba => normal.abs() * (MITSUBA_OFFSET * (1.0 + (position + origin).abs().max_element())),
+        }
+    }
+
+    /// The share of a shadow ray that is traced.
+    #[inline(always)]
+    pub(crate) fn shadow_share(self) -> f32 {
+        match self {
+            Offsets::Exact => 1.0,
+            Offsets::Mitsuba => 1.0 - MITSUBA_SHADOW_GAP,
+        }
+    }
+}
 
 /// A point on a surface.
 #[derive(Clone, Copy, Debug)]

@@ -73,8 +73,8 @@ impl Tracer {
     }
 
     fn estimator(&self) -> Estimator {
-        let Settings { integrator, strategy, without, .. } = self.settings;
-        Estimator { integrator, strategy, without }
+        let Settings { integrator, strategy, without, offsets, .. } = self.settings;
+        Estimator { integrator, strategy, without, offsets }
     }
 
     /// Where one sample of one pixel begins.

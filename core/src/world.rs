@@ -5,6 +5,7 @@ use crate::lights::Lights;
 use crate::scene::{Scene, Sensor};
 use crate::shading::Materials;
 use crate::texture::Textures;
+use glam::{DVec3, Vec3};
 
 /// A scene with its hierarchies and tables. It owns all it needs; the scene may be dropped.
 pub struct World {
@@ -18,6 +19,8 @@ pub struct World {
     pub lights: Lights,
     /// Where the picture is taken from.
     pub sensor: Sensor,
+    /// The scene's, as near as f32 has it: only distances that grow with coordinates need it.
+    pub origin: Vec3,
 }
 
 impl World {
@@ -34,6 +37,7 @@ impl World {
         let geometry = Geometry::lay_out(&scene, Meshes::new(&scene, meshes), &first_lights);
         let lights = Lights::new(&scene, &geometry, &textures);
         let materials = Materials::new(&scene);
-        Self { geometry, materials, textures, lights, sensor: scene.sensor }
+        let origin = DVec3::from_array(scene.origin).as_vec3();
+        Self { geometry, materials, textures, lights, sensor: scene.sensor, origin }
     }
 }

@@ -14,7 +14,7 @@ use std::time::Duration;
 use tilecast_core::film::file::Target;
 use tilecast_core::settings::Window;
 use tilecast_proto::limits::{THREADS_MAX, TILE_SIDE_MAX};
-use values::{IntegratorName, SamplerName, SavingName, StrategyName};
+use values::{IntegratorName, OffsetsName, SamplerName, SavingName, StrategyName};
 
 pub const RENDER_EXAMPLES: &str = "\
 Examples:
@@ -66,6 +66,9 @@ pub struct PictureFlags {
     /// Switches off what saves work without changing the expected image, to measure what it gains; may be repeated
     #[arg(long, value_name = "NAME")]
     without: Vec<SavingName>,
+    /// Where rays leave surfaces: `mitsuba` is for comparisons with its images [default: exact]
+    #[arg(long, value_name = "NAME")]
+    offsets: Option<OffsetsName>,
     /// Goes on with an image, by the film beside it, up to --spp; the result has the bits of a fresh render. Settings are the
     /// image's [writes to it, unless -o says otherwise]
     #[arg(long, value_name = "IMAGE.exr", requires = "spp", conflicts_with = "samples")]
@@ -89,6 +92,7 @@ impl PictureFlags {
             strategy: self.strategy.map(Into::into),
             sampler: self.sampler.map(Into::into),
             without: (!self.without.is_empty()).then(|| values::without(&self.without)),
+            offsets: self.offsets.map(Into::into),
             max_depth: self.max_depth.map(|depth| depth.0),
         };
         let replay = replaying::command(std::env::args_os().map(|arg| arg.to_string_lossy().into_owned()));

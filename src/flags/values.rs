@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
-use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, SamplerKind, Strategy, Window, Without};
+use tilecast_core::settings::{FILM_SIDE_MAX, IntegratorKind, Offsets, SamplerKind, Strategy, Window, Without};
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum IntegratorName {
@@ -40,6 +40,14 @@ pub enum SamplerName {
     SobolZ,
     /// Every number independent
     Independent,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum OffsetsName {
+    /// Just outside the rounding error of their starts
+    Exact,
+    /// Where Mitsuba 3 starts them, so that relief below half a millimetre in a room of metres casts no shadow
+    Mitsuba,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -94,6 +102,15 @@ impl From<SamplerName> for SamplerKind {
             SamplerName::SobolJoint => Self::SobolJoint,
             SamplerName::SobolZ => Self::SobolZ,
             SamplerName::Independent => Self::Independent,
+        }
+    }
+}
+
+impl From<OffsetsName> for Offsets {
+    fn from(name: OffsetsName) -> Self {
+        match name {
+            OffsetsName::Exact => Self::Exact,
+            OffsetsName::Mitsuba => Self::Mitsuba,
         }
     }
 }

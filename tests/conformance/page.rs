@@ -46,8 +46,8 @@ const DIFFERENCES: &[(&str, &str)] = &[
         "path",
         "Rays leave a surface within its rounding error. Mitsuba starts them 9e-5 (1 + its largest coordinate) off the surface \
          and ends shadow rays 9e-4 of the way before the light, so that relief of that size casts no shadow: half a millimetre in a \
-         room of metres. In Bitterli's staircase, where light grazes panelled walls, Mitsuba is 0.3 % brighter for that. A tilecast \
-         that was changed to start rays where Mitsuba does gave Mitsuba's picture.",
+         room of metres. In Bitterli's staircase, where light grazes panelled walls, Mitsuba is 0.3 % brighter for that. With \
+         `--offsets mitsuba` rays start where Mitsuba's do, and the picture is Mitsuba's.",
     ),
     ("hdrfilm", "The image is always EXR in 32 bits, with the variance of every pixel; format options have no effect."),
     ("independent", "Numbers are Owen-scrambled Sobol' points whatever the sampler is called."),

@@ -80,6 +80,7 @@ pub fn settings() -> Settings {
         sampler: SamplerKind::Sobol,
         without: Without::default(),
         half: Default::default(),
+        offsets: Default::default(),
         scale_exponent: scale_exponent(0.7),
     }
 }

@@ -249,6 +249,7 @@ mod tests {
             sampler: SamplerKind::Sobol,
             without: Without::default(),
             half: Default::default(),
+            offsets: Default::default(),
             scale_exponent,
         };
         Arc::new(Tracer::new(Arc::new(World::compile(&scene)), settings, Isa::Portable).unwrap())

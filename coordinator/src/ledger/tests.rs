@@ -18,6 +18,7 @@ pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
         sampler: SamplerKind::Sobol,
         without: Without::default(),
         half: Default::default(),
+        offsets: Default::default(),
         scale_exponent: 60,
     }
 }

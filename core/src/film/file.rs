@@ -273,6 +273,7 @@ mod tests {
             sampler: SamplerKind::Sobol,
             without: Default::default(),
             half: Half::Both,
+            offsets: Default::default(),
             scale_exponent: 60,
         }
     }

@@ -7,7 +7,7 @@ use crate::bvh::Ray;
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::geometry::{Hit, place};
 use crate::sampler::{Sampler, Slot};
-use crate::settings::SamplerKind;
+use crate::settings::{Offsets, SamplerKind};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::witness::{Cause, Event, Witness};
@@ -75,8 +75,20 @@ impl Estimator {
                 }
                 None => {}
             }
+            if self.offsets != Offsets::Exact {
+                self.set_off(world, wave, i);
+            }
             self.shade(lanes, world, wave, i, witness);
         }
+    }
+
+    /// Moves the starts of the rays that will leave the surface in hand.
+    #[cold]
+    #[inline(never)]
+    fn set_off(&self, world: &World, wave: &mut Wave, i: usize) {
+        let surface = wave.surfaces.at(i);
+        let further = self.offsets.further_error(surface.position, surface.normal, world.origin);
+        wave.surfaces.error.set(i, surface.error + further);
     }
 
     /// Finds what the rays in hand hit; how many of them may hit anything that matters.

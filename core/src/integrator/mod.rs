@@ -17,7 +17,7 @@ use crate::bsdf::Sample;
 use crate::bvh::Ray;
 use crate::bvh::simd::Lanes;
 use crate::sampler::Sampler;
-use crate::settings::{Integrator, IntegratorKind, Strategy, Without};
+use crate::settings::{Integrator, IntegratorKind, Offsets, Strategy, Without};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_pdf, uniform_hemisphere};
@@ -52,6 +52,8 @@ pub struct Estimator {
     pub strategy: Strategy,
     /// What saves work and shall not.
     pub without: Without,
+    /// Where rays leave surfaces.
+    pub offsets: Offsets,
 }
 
 /// How a ray came about: what weighs an emitter that it finds.

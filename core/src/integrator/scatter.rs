@@ -72,7 +72,7 @@ impl Estimator {
             let ray = crate::bvh::Ray {
                 origin: lights.origin.at(i),
                 direction: lights.direction.at(i),
-                t_max: lights.t_max[i],
+                t_max: lights.t_max[i] * self.offsets.shadow_share(),
             };
             (wave.rays[rays], wave.owners[rays]) = (ray, i);
             rays += 1;

@@ -46,6 +46,7 @@ pub fn settings(side: u32, spp: u32, strategy: Strategy) -> Settings {
         sampler: SamplerKind::Sobol,
         without: Without::default(),
         half: Default::default(),
+        offsets: Default::default(),
         scale_exponent: film::scale_exponent(100.0),
     }
 }

@@ -5,6 +5,7 @@
 mod analytic;
 mod build;
 mod invariance;
+mod offsets;
 mod replay;
 mod robust;
 mod unbiased;

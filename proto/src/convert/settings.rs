@@ -3,7 +3,7 @@
 use super::{WireError, window};
 use crate::wire;
 use tilecast_core::settings::{
-    FILM_SIDE_MAX, Film, Filter, Half, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Without,
+    FILM_SIDE_MAX, Film, Filter, Half, Integrator, IntegratorKind, Offsets, SamplerKind, Settings, Strategy, Without,
 };
 
 impl From<&Settings> for wire::Settings {
@@ -41,6 +41,10 @@ impl From<&Settings> for wire::Settings {
             Half::First => wire::Half::First,
             Half::Second => wire::Half::Second,
         };
+        let offsets = match settings.offsets {
+            Offsets::Exact => wire::Offsets::Exact,
+            Offsets::Mitsuba => wire::Offsets::Mitsuba,
+        };
         let Without { splitting, early_roulette, blind_ends } = settings.without;
         Self {
             width,
@@ -54,6 +58,7 @@ impl From<&Settings> for wire::Settings {
             sampler: sampler.into(),
             scale_exponent: settings.scale_exponent,
             half: half.into(),
+            offsets: offsets.into(),
             without: Some(wire::Without { splitting, early_roulette, blind_ends }),
         }
     }
@@ -95,6 +100,7 @@ impl TryFrom<wire::Settings> for Settings {
                 blind_ends: wire.blind_ends,
             }),
             half: half(message.half)?,
+            offsets: offsets(message.offsets)?,
             scale_exponent: message.scale_exponent,
         };
         settings.validate()?;
@@ -130,6 +136,14 @@ fn half(value: i32) -> Result<Half, WireError> {
         Ok(wire::Half::First) => Ok(Half::First),
         Ok(wire::Half::Second) => Ok(Half::Second),
         Ok(wire::Half::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.half", value }),
+    }
+}
+
+fn offsets(value: i32) -> Result<Offsets, WireError> {
+    match wire::Offsets::try_from(value) {
+        Ok(wire::Offsets::Exact) => Ok(Offsets::Exact),
+        Ok(wire::Offsets::Mitsuba) => Ok(Offsets::Mitsuba),
+        Ok(wire::Offsets::Unspecified) | Err(_) => Err(WireError::Enum { field: "settings.offsets", value }),
     }
 }
 

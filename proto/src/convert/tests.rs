@@ -6,7 +6,9 @@ use crate::{sums, types};
 use proptest::prelude::*;
 use std::time::Duration;
 use tilecast_core::film::{self, TileSums};
-use tilecast_core::settings::{Film, Filter, Half, Integrator, IntegratorKind, SamplerKind, Strategy, Without};
+use tilecast_core::settings::{
+    Film, Filter, Half, Integrator, IntegratorKind, Offsets, SamplerKind, Strategy, Without,
+};
 
 fn settings() -> Settings {
     Settings {
@@ -22,6 +24,7 @@ fn settings() -> Settings {
         strategy: Strategy::Mis,
         sampler: SamplerKind::Sobol,
         half: Half::Second,
+        offsets: Offsets::Mitsuba,
         without: Without { splitting: true, early_roulette: false, blind_ends: true },
         scale_exponent: -3,
     }

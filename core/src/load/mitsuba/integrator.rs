@@ -112,6 +112,7 @@ impl Estimator {
             sampler: SamplerKind::Sobol,
             without: Without::default(),
             half: Default::default(),
+            offsets: Default::default(),
             scale_exponent: 0,
         }
     }

@@ -298,6 +298,7 @@ fn settings() -> Settings {
         sampler: SamplerKind::Sobol,
         without: Without::default(),
         half: Default::default(),
+        offsets: Default::default(),
         scale_exponent: 0,
     }
 }
