@@ -12,6 +12,7 @@ use bytes::Bytes;
 use std::path::Path;
 use std::time::Duration;
 use tilecast_core::film::sums;
+use tilecast_core::sampler::mix64;
 use tilecast_proto::types::{Heartbeat, JobState, Lease, LeaseRequest, ResultHeader, Verdict, WorkerId, WorkerInfo};
 
 /// Time goes on in steps of this.
@@ -21,16 +22,13 @@ const TROUBLE_STEPS: u32 = 160;
 /// And by then it must have.
 const STEPS_MAX: u32 = 2000;
 
-/// SplitMix64.
+/// Numbers from a seed.
 struct Random(u64);
 
 impl Random {
     fn below(&mut self, end: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut x = self.0;
-        x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (x ^ x >> 31) % end
+        self.0 = mix64(self.0);
+        self.0 % end
     }
 
     fn chance(&mut self, percent: u64) -> bool {

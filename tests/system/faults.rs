@@ -7,6 +7,7 @@ use serde_json::Value;
 use std::collections::hash_map::RandomState;
 use std::hash::BuildHasher;
 use std::time::{Duration, Instant};
+use tilecast_core::sampler::mix64;
 
 /// Some seconds on one thread: long enough to be hit in the middle several times.
 const JOB: [&str; 6] = ["--size", "96x96", "--spp", "96", "--tile", "32"];
@@ -17,16 +18,13 @@ fn seeds(few: u64) -> Vec<u64> {
     (0..runs).map(|i| RandomState::new().hash_one(i)).collect()
 }
 
-/// Numbers from a seed: SplitMix64.
+/// Numbers from a seed.
 struct Random(u64);
 
 impl Random {
     fn below(&mut self, end: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut x = self.0;
-        x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (x ^ x >> 31) % end
+        self.0 = mix64(self.0);
+        self.0 % end
     }
 
     /// Waits for up to so long. Kills at random times are what is tested, so nothing could be waited for instead.

@@ -1,6 +1,7 @@
 //! From rays to surfaces: what paths meet, and what shines there.
 
-use super::wave::{NONE, State, WIDTH, Wave};
+use super::rows::{NONE, WIDTH};
+use super::wave::{State, Wave};
 use super::{Estimator, HIDDEN_MAX, Origin};
 use crate::bsdf::Closure;
 use crate::bvh::Ray;

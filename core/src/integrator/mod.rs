@@ -11,7 +11,7 @@
 mod arrive;
 pub(crate) mod rows;
 mod scatter;
-pub(crate) mod wave;
+mod wave;
 
 use crate::bsdf::Sample;
 use crate::bvh::Ray;
@@ -24,7 +24,8 @@ use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_p
 use crate::witness::Witness;
 use crate::world::World;
 use glam::{Vec2, Vec3};
-use wave::{Rules, State, WIDTH, Wave};
+use rows::WIDTH;
+use wave::{Rules, State, Wave};
 
 /// The largest probability to go on under Russian roulette, so that a path in a lossless scene ends some day.
 const CONTINUATION_MAX: f32 = 0.95;

@@ -1,7 +1,17 @@
-//! Vectors, coordinate by coordinate in rows: what compilers turn loops over many of them into vector instructions for.
+//! Vectors and what is made of them, coordinate by coordinate in rows: over these, compilers make vectors of loops.
 
-use super::wave::WIDTH;
+use super::Origin;
+use crate::bsdf::Sample;
+use crate::frame::Frame;
+use crate::lights::LightSample;
+use crate::surface::Surface;
 use glam::{Vec2, Vec3};
+
+/// Paths under way at a time.
+pub(crate) const WIDTH: usize = 128;
+
+/// Stands for "none".
+pub(super) const NONE: u32 = u32::MAX;
 
 /// Points of the plane.
 #[derive(Clone, Debug)]
@@ -46,4 +56,179 @@ impl Vec3s {
     pub fn set(&mut self, i: usize, v: Vec3) {
         (self.x[i], self.y[i], self.z[i]) = (v.x, v.y, v.z);
     }
+}
+
+/// How the rays in hand came about: what weighs an emitter that they find.
+pub(super) struct Origins {
+    /// Where they start.
+    pub position: Vec3s,
+    /// The shading normal there.
+    pub normal: Vec3s,
+    /// Density of the direction, in solid angle; infinite where light sampling could not have found it.
+    pub pdf: [f32; WIDTH],
+}
+
+impl Origins {
+    #[inline(always)]
+    pub fn at(&self, i: usize) -> Origin {
+        Origin { position: self.position.at(i), normal: self.normal.at(i), pdf: self.pdf[i] }
+    }
+}
+
+/// Surface points, as [`Surface`].
+pub(super) struct Surfaces {
+    pub position: Vec3s,
+    pub error: Vec3s,
+    pub normal: Vec3s,
+    pub frame: Frames,
+    pub uv: Vec2s,
+    pub barycentric: Vec2s,
+    pub shape: [u32; WIDTH],
+    pub instance: [u32; WIDTH],
+    pub primitive: [u32; WIDTH],
+    pub light: [u32; WIDTH],
+}
+
+pub(super) struct Frames {
+    pub s: Vec3s,
+    pub t: Vec3s,
+    pub n: Vec3s,
+}
+
+impl Frames {
+    pub const ZERO: Self = Self { s: Vec3s::ZERO, t: Vec3s::ZERO, n: Vec3s::ZERO };
+
+    #[inline(always)]
+    pub fn at(&self, i: usize) -> Frame {
+        Frame { s: self.s.at(i), t: self.t.at(i), n: self.n.at(i) }
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, frame: &Frame) {
+        self.s.set(i, frame.s);
+        self.t.set(i, frame.t);
+        self.n.set(i, frame.n);
+    }
+}
+
+impl Surfaces {
+    #[inline(always)]
+    pub fn at(&self, i: usize) -> Surface {
+        let some = |x: u32| (x != NONE).then_some(x);
+        Surface {
+            position: self.position.at(i),
+            error: self.error.at(i),
+            normal: self.normal.at(i),
+            frame: self.frame.at(i),
+            uv: self.uv.at(i),
+            barycentric: self.barycentric.at(i),
+            shape: self.shape[i],
+            instance: some(self.instance[i]),
+            primitive: self.primitive[i],
+            light: some(self.light[i]),
+        }
+    }
+
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, surface: &Surface) {
+        self.position.set(i, surface.position);
+        self.error.set(i, surface.error);
+        self.normal.set(i, surface.normal);
+        self.frame.set(i, &surface.frame);
+        self.uv.set(i, surface.uv);
+        self.barycentric.set(i, surface.barycentric);
+        self.shape[i] = surface.shape;
+        self.instance[i] = surface.instance.unwrap_or(NONE);
+        self.primitive[i] = surface.primitive;
+        self.light[i] = surface.light.unwrap_or(NONE);
+    }
+}
+
+/// Triangles: vertices, and an interpolated normal or the radiance of a light.
+pub(super) struct Triangles {
+    pub corners: [Vec3s; 3],
+    pub extra: Vec3s,
+    pub area: [f32; WIDTH],
+}
+
+impl Triangles {
+    #[inline(always)]
+    pub fn corners(&self, i: usize) -> [Vec3; 3] {
+        [self.corners[0].at(i), self.corners[1].at(i), self.corners[2].at(i)]
+    }
+
+    #[inline(always)]
+    pub fn set_corners(&mut self, i: usize, [a, b, c]: [Vec3; 3]) {
+        self.corners[0].set(i, a);
+        self.corners[1].set(i, b);
+        self.corners[2].set(i, c);
+    }
+}
+
+/// What light sampling finds, as [`crate::lights::LightSample`], and what becomes of it.
+pub(super) struct LightSamples {
+    pub probability: [f32; WIDTH],
+    pub u: Vec2s,
+    /// There is light.
+    pub is_some: [bool; WIDTH],
+    pub wi: Vec3s,
+    pub weight: Vec3s,
+    pub pdf: [f32; WIDTH],
+    pub origin: Vec3s,
+    pub direction: Vec3s,
+    pub t_max: [f32; WIDTH],
+    /// What the surface makes of it, and how likely it would have chosen the direction.
+    pub value: Vec3s,
+    pub bsdf_pdf: [f32; WIDTH],
+    pub mis: [f32; WIDTH],
+}
+
+impl LightSamples {
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, sample: &LightSample) {
+        self.wi.set(i, sample.wi);
+        self.weight.set(i, sample.weight);
+        self.pdf[i] = sample.pdf;
+        self.origin.set(i, sample.shadow_ray.origin);
+        self.direction.set(i, sample.shadow_ray.direction);
+        self.t_max[i] = sample.shadow_ray.t_max;
+    }
+}
+
+/// Directions to go on, as [`crate::bsdf::Sample`].
+pub(super) struct Samples {
+    pub is_some: [bool; WIDTH],
+    pub wi: Vec3s,
+    pub weight: Vec3s,
+    pub pdf: [f32; WIDTH],
+    pub eta: [f32; WIDTH],
+}
+
+impl Samples {
+    /// Keeps a direction of the frame's space, or that there is none.
+    #[inline(always)]
+    pub fn set(&mut self, i: usize, Sample { wi, weight, pdf, eta }: Sample, is_some: bool, frame: &Frame) {
+        self.is_some[i] = is_some;
+        self.wi.set(i, frame.to_world(wi));
+        self.weight.set(i, weight);
+        self.pdf[i] = pdf;
+        self.eta[i] = eta;
+    }
+}
+
+/// Random numbers of a surface.
+pub(super) struct Numbers {
+    pub lobe: [f32; WIDTH],
+    pub direction: Vec2s,
+    pub light: [f32; WIDTH],
+    pub light_point: Vec2s,
+    pub roulette: [f32; WIDTH],
+}
+
+/// What branches of a path have in common, kept while one of them goes on.
+pub(super) struct Stem {
+    pub throughput: Vec3s,
+    pub eta: [f32; WIDTH],
+    pub depth: [u32; WIDTH],
+    pub lobe: [f32; WIDTH],
 }

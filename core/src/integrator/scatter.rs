@@ -1,6 +1,7 @@
 //! At surfaces: light sampled there, and the ray that goes on.
 
-use super::wave::{Rules, State, WIDTH, Wave};
+use super::rows::WIDTH;
+use super::wave::{Rules, State, Wave};
 use super::{BRANCHES, Estimator, power_heuristic};
 use crate::bsdf::{Diffuse, Evaluation, Sample};
 use crate::bvh::simd::{Kernel, Lanes};
@@ -240,7 +241,7 @@ impl Kernel for ChooseLights<'_, '_> {
         wave.is_plain = [false; WIDTH];
         for k in 0..count {
             let i = wave.chosen[k];
-            wave.light[i] = super::wave::NONE;
+            wave.light[i] = super::rows::NONE;
             wave.lights.is_some[i] = false;
             if !wave.is_diffuse[i] && wave.shadings[i].closure.is_delta() {
                 continue;
@@ -280,7 +281,7 @@ impl Kernel for OtherLights<'_, '_> {
         let Self { world, wave, count, with_bsdf } = self;
         for k in 0..count {
             let i = wave.chosen[k];
-            if wave.is_plain[i] || wave.light[i] == super::wave::NONE {
+            if wave.is_plain[i] || wave.light[i] == super::rows::NONE {
                 continue;
             }
             let (light, probability, u) = (wave.light[i], wave.lights.probability[i], wave.lights.u.at(i));
