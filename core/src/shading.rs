@@ -4,6 +4,7 @@ mod bend;
 mod simple;
 
 use crate::bsdf::{Closure, Evaluation, Sample};
+use crate::bvh::simd::Lanes;
 use crate::frame::Frame;
 use crate::geometry::Geometry;
 use crate::scene::{Bsdf, BsdfId, Scene, Texture, TextureId};
@@ -21,6 +22,8 @@ pub struct Materials {
     has_lobes: Vec<bool>,
     /// The shapes that are plainly Lambert's.
     lambert: Vec<Option<Lambert>>,
+    /// The bitmaps that may be looked up on each shape.
+    bitmaps: Vec<Vec<TextureId>>,
     /// Whether each BSDF needs tangents that follow the texture coordinates.
     oriented: Vec<bool>,
     coats: Coats,
@@ -81,6 +84,7 @@ impl Materials {
             of_shape: scene.levels().flatten().map(|s| s.bsdf).collect(),
             has_lobes: scene.levels().flatten().map(|s| has_lobes(scene, s.bsdf)).collect(),
             lambert: scene.levels().flatten().map(|s| lambert(scene, s.bsdf)).collect(),
+            bitmaps: scene.levels().flatten().map(|s| bitmaps(scene, s.bsdf)).collect(),
             oriented,
             coats: Coats::new(&scene.bsdfs),
         }
@@ -96,6 +100,14 @@ impl Materials {
     #[inline(always)]
     pub fn lambert(&self, shape: u32) -> Option<&Lambert> {
         self.lambert[shape as usize].as_ref()
+    }
+
+    /// Asks for the texels that may be looked up on a shape, ahead of time.
+    #[inline(always)]
+    pub fn prefetch<L: Lanes>(&self, lanes: L, textures: &Textures, shape: u32, uv: Vec2) {
+        for id in &self.bitmaps[shape as usize] {
+            textures.prefetch(lanes, *id, uv);
+        }
     }
 
     /// The closure at `surface`, seen from the direction `wo`. A mask answers at random, by `lobe`: with the probability of
@@ -153,6 +165,14 @@ impl Materials {
             }
         }
     }
+}
+
+/// The bitmaps that a BSDF and those in it read.
+fn bitmaps(scene: &Scene, id: BsdfId) -> Vec<TextureId> {
+    let bsdf = &scene.bsdfs[id.0 as usize];
+    let is_bitmap = |id: &TextureId| matches!(scene.textures[id.0 as usize], Texture::Bitmap { .. });
+    let nested = bsdf.nested().into_iter().flat_map(|id| bitmaps(scene, id));
+    bsdf.textures().into_iter().filter(is_bitmap).chain(nested).collect()
 }
 
 /// Decides an event of this probability by `lobe`, and makes a fresh number of what is left of it.

@@ -2,6 +2,7 @@
 
 mod attribute;
 
+use crate::bvh::simd::Lanes;
 use crate::scene::{FilterType, Image, Scene, Texels, Texture, TextureId, WrapMode};
 use crate::surface::Surface;
 use attribute::Attributes;
@@ -48,6 +49,25 @@ impl Textures {
         self.value(id, surface.uv, Some(surface))
     }
 
+    /// Asks for the texels that [`Textures::at`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch<L: Lanes>(&self, lanes: L, id: TextureId, uv: Vec2) {
+        let Texture::Bitmap { image, to_uv, wrap, .. } = &self.textures[id.0 as usize] else { return };
+        let image = &self.images[image.0 as usize];
+        let p = texels(image, to_uv, uv) - Vec2::splat(0.5);
+        let (x, y) = (floor(p.x), floor(p.y));
+        let column = wrapped(x, image.width, *wrap) as usize;
+        for y in [y, y + 1.0] {
+            let i = wrapped(y, image.height, *wrap) as usize * image.width as usize + column;
+            match &image.texels {
+                Texels::Grey8 { data, .. } => lanes.prefetch(&data[i]),
+                Texels::Rgb8 { data, .. } => lanes.prefetch(&data[3 * i]),
+                Texels::Grey32(data) => lanes.prefetch(&data[i]),
+                Texels::Rgb32(data) => lanes.prefetch(&data[3 * i]),
+            }
+        }
+    }
+
     /// The value at texture coordinates `uv` of what is no surface (a light's beam), linear sRGB.
     #[inline(always)]
     pub fn at_uv(&self, id: TextureId, uv: Vec2) -> Vec3 {
@@ -83,8 +103,7 @@ impl Textures {
 
     #[inline(always)]
     fn bitmap(&self, image: &Image, to_uv: &Affine2, filter: FilterType, wrap: WrapMode, uv: Vec2) -> Vec3 {
-        let uv = to_uv.transform_point2(uv);
-        let p = Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32);
+        let p = texels(image, to_uv, uv);
         match filter {
             FilterType::Nearest => {
                 let (x, y) = (wrapped(floor(p.x), image.width, wrap), wrapped(floor(p.y), image.height, wrap));
@@ -158,6 +177,13 @@ impl Textures {
             Texture::MeshAttribute { scale, .. } => self.attributes.mean(id.0) * *scale,
         }
     }
+}
+
+/// Texture coordinates in texels of an image.
+#[inline(always)]
+fn texels(image: &Image, to_uv: &Affine2, uv: Vec2) -> Vec2 {
+    let uv = to_uv.transform_point2(uv);
+    Vec2::new(uv.x * image.width as f32, uv.y * image.height as f32)
 }
 
 /// Four texels, and where between them a position lies.

@@ -42,6 +42,8 @@ impl Estimator {
             if let Hit::Triangle(hit) = hit {
                 let b = Vec2::new(hit.u, hit.v);
                 let point = world.geometry.triangle_point(hit.triangle, b);
+                // They will be here when all points are computed.
+                world.materials.prefetch(lanes, &world.textures, point.shape, point.uv);
                 wave.triangles.set_corners(i, point.corners);
                 wave.triangles.extra.set(i, point.shading);
                 let surfaces = &mut wave.surfaces;

@@ -59,6 +59,9 @@ pub trait Lanes: Copy + Send + Sync + 'static {
     /// are not negative. The order of equal or nearly equal entries depends on the path.
     fn far_to_near(self, near: Self::X8, far: Self::X8, children: &[u32; 8]) -> ([u64; 8], usize);
 
+    /// Asks for the memory that `first` lies in, ahead of its use. Changes nothing but time.
+    fn prefetch<T>(self, first: &T);
+
     /// Runs `kernel` compiled with the instructions of this path.
     fn run<K: Kernel>(self, kernel: K) -> K::Output;
 }
