@@ -54,3 +54,18 @@ agreement scene="scenes/cornell-box/scene.xml":
 picture:
     cargo run --release -- render scenes/cornell-box/scene.xml --spp 256 --size 384x384 --preview -o scenes/cornell-box/cornell-box.exr
     rm scenes/cornell-box/cornell-box.exr
+
+# `tilecast launch slurm` with a real Slurm, all on this machine: needs Debian's slurm-wlm. Some ten minutes.
+slurm:
+    cargo build --release
+    bash tests/slurm/run.sh
+
+# The chart as Helm renders it, checked in, and checked against Kubernetes' schemas (Python 3.12: `pip install helm-sdkpy kubernetes-validate`).
+chart python="venv/bin/python":
+    {{python}} deploy/helm/render.py render > deploy/helm/rendered.yaml
+    {{python}} -m kubernetes_validate --strict --kubernetes-version 1.33 deploy/helm/rendered.yaml
+
+# The Python example against a coordinator of its own (`pip install grpcio grpcio-tools`).
+python python="venv/bin/python":
+    cargo build --release
+    bash examples/python/run.sh {{python}}

@@ -2,6 +2,8 @@
 
 mod cluster;
 mod images;
+mod launching;
+mod manuals;
 mod measuring;
 mod rendering;
 mod replaying;
@@ -14,6 +16,8 @@ use crate::certs::Certs;
 use crate::compare::Compare;
 use crate::coordinator::Coordinator;
 use crate::info::Info;
+use crate::launch::Launch;
+use crate::manual::Manual;
 use crate::merge::Merge;
 use crate::render::Render;
 use crate::replay::Replay;
@@ -26,11 +30,22 @@ use crate::worker::Worker;
 use clap::{Args, Parser, Subcommand};
 use cluster::{CancelFlags, CertsFlags, CoordinatorFlags, StatusFlags, SubmitFlags, WorkerFlags};
 use images::{InfoFlags, MergeFlags, VerifyFlags};
+use launching::LaunchFlags;
+use manuals::{CompletionsFlags, ManFlags};
 use measuring::{BenchFlags, CompareFlags, ScaleFlags};
 use rendering::RenderFlags;
 use std::io::IsTerminal;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_proto::limits::THREADS_MAX;
+
+pub use replaying::quoted;
+
+const EXAMPLES: &str = "\
+Examples:
+  tilecast render scene.xml --spp 1024 --preview       writes scene.exr and scene.png
+  tilecast info scene.xml                              what is in it
+  tilecast compare scene.exr reference.exr             how far off it is, and whether chance explains it
+`tilecast COMMAND --help` has more, `-h` is short; for shells and `man`: `tilecast completions`, `tilecast man`.";
 
 /// Flags that cannot be meant as they are written, found after clap has read them: the exit code is that of usage errors.
 #[derive(Debug, thiserror::Error)]
@@ -39,7 +54,7 @@ pub struct Usage(pub String);
 
 /// Renders reference images, on one machine or many, the same to the bit.
 #[derive(Parser)]
-#[command(name = "tilecast", version, max_term_width = 110)]
+#[command(name = "tilecast", version, max_term_width = 110, after_long_help = EXAMPLES)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -61,6 +76,8 @@ pub enum Task {
     Status(Status),
     /// `tilecast cancel`
     Cancel(Cancel),
+    /// `tilecast launch`
+    Launch(Launch),
     /// `tilecast info`
     Info(Info),
     /// `tilecast merge`
@@ -75,49 +92,59 @@ pub enum Task {
     Bench(Bench),
     /// `tilecast certs init`
     Certs(Certs),
+    /// `tilecast completions`, `tilecast man`
+    Manual(Manual),
 }
 
 #[derive(Subcommand)]
 enum Command {
     /// Renders a scene here.
-    #[command(after_help = rendering::RENDER_EXAMPLES)]
+    #[command(after_long_help = rendering::RENDER_EXAMPLES)]
     Render(RenderFlags),
     /// Hands out work to workers, and keeps the images in the making.
-    #[command(after_help = cluster::CLUSTER_EXAMPLES)]
+    #[command(after_long_help = cluster::CLUSTER_EXAMPLES)]
     Coordinator(CoordinatorFlags),
     /// Traces for a coordinator, for as long as it runs.
-    #[command(after_help = cluster::CLUSTER_EXAMPLES)]
+    #[command(after_long_help = cluster::CLUSTER_EXAMPLES)]
     Worker(WorkerFlags),
     /// Has a coordinator render a scene, waits, and writes the image.
-    #[command(after_help = cluster::CLUSTER_EXAMPLES)]
+    #[command(after_long_help = cluster::CLUSTER_EXAMPLES)]
     Submit(SubmitFlags),
     /// Lists a coordinator's jobs and workers.
-    #[command(after_help = "Example:\n  tilecast status --connect 10.0.0.1:7878")]
+    #[command(after_long_help = "Example:\n  tilecast status --connect 10.0.0.1:7878")]
     Status(StatusFlags),
     /// Ends a job of a coordinator; what is done of it is dropped.
-    #[command(after_help = "Example:\n  tilecast cancel --connect 10.0.0.1:7878 4294967297")]
+    #[command(after_long_help = "Example:\n  tilecast cancel --connect 10.0.0.1:7878 4294967297")]
     Cancel(CancelFlags),
+    /// Starts workers by what machines already run: Slurm or ssh.
+    Launch(LaunchFlags),
     /// Says what is in a scene: shapes, materials, lights, memory, and what was read but has no effect.
-    #[command(after_help = "Example:\n  tilecast info scenes/cornell-box/scene.xml")]
+    #[command(after_long_help = "Example:\n  tilecast info scenes/cornell-box/scene.xml")]
     Info(InfoFlags),
     /// Says how far an image is from a reference, and whether chance explains it.
-    #[command(after_help = "Example:\n  tilecast compare image.exr reference.exr --difference difference.png")]
+    #[command(after_long_help = "Example:\n  tilecast compare image.exr reference.exr --difference difference.png")]
     Compare(CompareFlags),
     /// Measures error against time and samples, and plots it.
-    #[command(after_help = measuring::BENCH_EXAMPLES)]
+    #[command(after_long_help = measuring::BENCH_EXAMPLES)]
     Bench(BenchFlags),
     /// Joins images of the same picture made of different samples, on machines that never met.
-    #[command(after_help = images::MERGE_EXAMPLES)]
+    #[command(after_long_help = images::MERGE_EXAMPLES)]
     Merge(MergeFlags),
     /// Measures how much sooner an image is done with more workers, and simulates how it would go on.
-    #[command(after_help = measuring::SCALE_EXAMPLES)]
+    #[command(after_long_help = measuring::SCALE_EXAMPLES)]
     Scale(ScaleFlags),
     /// Renders random parts of an image again, and says whether its bits are what its scene and settings give.
-    #[command(after_help = "Example:\n  tilecast verify reference.exr scene.xml --share 0.05")]
+    #[command(after_long_help = "Example:\n  tilecast verify reference.exr scene.xml --share 0.05")]
     Verify(VerifyFlags),
     /// Makes certificates for a cluster beyond loopback.
-    #[command(after_help = "Example:\n  tilecast certs init certs")]
+    #[command(after_long_help = "Example:\n  tilecast certs init certs")]
     Certs(CertsFlags),
+    /// Prints what a shell needs to complete tilecast's commands and flags.
+    #[command(after_long_help = manuals::COMPLETIONS_EXAMPLES)]
+    Completions(CompletionsFlags),
+    /// Writes manual pages, one a command.
+    #[command(after_long_help = manuals::MAN_EXAMPLES)]
+    Man(ManFlags),
 }
 
 #[derive(Args)]
@@ -150,6 +177,7 @@ impl Cli {
             Command::Submit(flags) => Task::Submit(flags.ready()?),
             Command::Status(flags) => Task::Status(flags.ready()?),
             Command::Cancel(flags) => Task::Cancel(flags.ready()?),
+            Command::Launch(flags) => Task::Launch(flags.ready()?),
             Command::Merge(flags) => Task::Merge(flags.ready()?),
             Command::Scale(flags) => Task::Scale(flags.ready()?),
             Command::Verify(flags) => Task::Verify(flags.ready()?),
@@ -157,6 +185,8 @@ impl Cli {
             Command::Bench(flags) => Task::Bench(flags.ready()?),
             Command::Info(flags) => Task::Info(flags.ready()),
             Command::Certs(flags) => Task::Certs(flags.ready()),
+            Command::Completions(flags) => Task::Manual(flags.ready()),
+            Command::Man(flags) => Task::Manual(flags.ready()),
         })
     }
 }

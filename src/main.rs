@@ -11,6 +11,8 @@ mod flags;
 mod follow;
 mod info;
 mod kept;
+mod launch;
+mod manual;
 mod memory;
 mod merge;
 mod output;
@@ -62,7 +64,7 @@ fn run() -> anyhow::Result<()> {
 
 async fn perform(task: Task) -> anyhow::Result<()> {
     start_log(match task {
-        Task::Coordinator(_) | Task::Worker(_) => "info",
+        Task::Coordinator(_) | Task::Worker(_) | Task::Launch(_) => "info",
         _ => "error",
     });
     match task {
@@ -73,6 +75,7 @@ async fn perform(task: Task) -> anyhow::Result<()> {
         Task::Submit(submit) => submit::run(submit).await,
         Task::Status(status) => status::run(status).await,
         Task::Cancel(cancel) => cancel::run(cancel).await,
+        Task::Launch(launch) => launch::run(launch).await,
         Task::Bench(bench) => bench::run(bench).await,
         Task::Compare(compare) => compare::run(compare).await,
         Task::Merge(merge) => tokio::task::spawn_blocking(move || merge::run(merge)).await?,
@@ -80,6 +83,7 @@ async fn perform(task: Task) -> anyhow::Result<()> {
         Task::Verify(verify) => tokio::task::spawn_blocking(move || verify::run(&verify)).await?,
         Task::Info(info) => info::run(info).await,
         Task::Certs(certs) => certs::run(certs),
+        Task::Manual(manual) => manual::run(manual),
     }
 }
 

@@ -133,7 +133,7 @@ impl Report {
             Style::Json => print(&Event::Listening { address }),
             Style::Quiet => {}
             Style::Bar | Style::Lines => {
-                eprintln!("listening on {address}; start workers with: tilecast worker --connect {address}");
+                eprintln!("listening on {address}; start workers with: tilecast worker --connect {}", reached(address));
             }
         }
     }
@@ -289,6 +289,15 @@ fn duration(seconds: f64) -> String {
 pub fn print(event: &impl Serialize) {
     if let Ok(text) = serde_json::to_string(event) {
         let _ = writeln!(std::io::stdout().lock(), "{text}");
+    }
+}
+
+/// How workers reach an address that is listened on.
+fn reached(address: &str) -> String {
+    match address.strip_prefix("0.0.0.0:").or_else(|| address.strip_prefix("[::]:")) {
+        // All addresses of this machine: none of them is known to be the right one.
+        Some(port) => format!("HOST:{port} --certs DIR, where HOST is this machine as they see it"),
+        None => address.to_owned(),
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::convert::{self, FilmParts, WireError};
 use crate::limits::{CALL_MS_MAX, CHUNK_BYTES, DIGESTS_MAX, MESSAGE_BYTES_MAX};
-use crate::transport::{ConnectError, Connector, Line};
+use crate::transport::{ConnectError, Connector, Line, unheard};
 use crate::types::{Contribution, JobId, JobSpec, Progress, WorkerStatus};
 use crate::version::Version;
 use crate::wire;
@@ -63,8 +63,9 @@ impl Client {
             .max_decoding_message_size(MESSAGE_BYTES_MAX)
             .max_encoding_message_size(MESSAGE_BYTES_MAX);
         let client = Self { rpc };
-        let theirs = client.rpc().greet(call(wire::Version::from(Version::ours()))).await?.into_inner();
-        convert::version(Some(theirs))?.check().map_err(WireError::from)?;
+        let greeting = client.rpc().greet(call(wire::Version::from(Version::ours()))).await;
+        let theirs = greeting.map_err(|status| unheard(&status).map_or_else(|| status.into(), ClientError::Connect))?;
+        convert::version(Some(theirs.into_inner()))?.check().map_err(WireError::from)?;
         Ok(client)
     }
 

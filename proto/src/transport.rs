@@ -53,6 +53,17 @@ pub enum ConnectError {
         /// Why.
         reason: String,
     },
+    /// Somebody answers there, and hangs up at the first word.
+    #[error(
+        "what listens there hangs up at the first word ({0}); have both sides --certs of the same `tilecast certs init`, or neither?"
+    )]
+    Unheard(String),
+}
+
+/// What the failure of a first call means, if it is not an answer.
+pub fn unheard(status: &Status) -> Option<ConnectError> {
+    // An answer has no cause on this side.
+    std::error::Error::source(status).map(|cause| ConnectError::Unheard(innermost(cause)))
 }
 
 impl Connector {

@@ -28,6 +28,18 @@ impl ConnectFlags {
         Self { connect, certs, token_file: None }
     }
 
+    /// The same flags for a worker that sees the same files; of a token, that is an admin's.
+    pub fn words(&self) -> anyhow::Result<Vec<String>> {
+        let mut words = vec!["--connect".to_owned(), self.connect.clone()];
+        for (flag, path) in [("--certs", &self.certs), ("--token-file", &self.token_file)] {
+            if let Some(path) = path {
+                let absolute = std::path::absolute(path).with_context(|| format!("{} has no place", path.display()))?;
+                words.extend([flag.to_owned(), absolute.display().to_string()]);
+            }
+        }
+        Ok(words)
+    }
+
     /// The way to the coordinator, for whoever has one of these roles.
     pub fn ready(self, roles: &[Role]) -> anyhow::Result<Connector> {
         let unreadable = |e| Usage(format!("--connect: {e}"));

@@ -41,22 +41,39 @@ fn people_get_lines_on_stderr_and_quiet_ones_nothing() {
 #[test]
 fn help_and_version_are_no_errors() {
     let folder = Folder::new();
-    for command in [
-        vec![],
-        vec!["render"],
-        vec!["coordinator"],
-        vec!["worker"],
-        vec!["submit"],
-        vec!["info"],
-        vec!["merge"],
-        vec!["verify"],
-        vec!["scale"],
-    ] {
-        let outcome = folder.tilecast(command.iter().chain(&["--help"]));
-        assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
-        assert!(outcome.stdout.contains("Usage: tilecast"), "{}", outcome.stdout);
+    let overview = folder.tilecast(["--help"]).stdout;
+    let listed = overview.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let mut commands: Vec<Vec<&str>> =
+        listed.filter_map(|line| line.strip_prefix("  ")?.split(' ').next()).map(|name| vec![name]).collect();
+    commands.retain(|command| !["", "help", "launch"].contains(&command[0]));
+    assert!(commands.len() > 14, "{overview}");
+    commands.extend([vec![], vec!["launch", "slurm"], vec!["launch", "ssh"]]);
+    for command in commands {
+        let long = folder.tilecast(command.iter().chain(&["--help"]));
+        assert_eq!((long.code, long.stderr.as_str()), (Some(0), ""));
+        assert!(long.stdout.contains("Usage: tilecast"), "{}", long.stdout);
+        assert!(long.stdout.contains("\n  tilecast "), "no example: {}", long.stdout);
+        let short = folder.tilecast(command.iter().chain(&["-h"])).stdout;
+        assert!(!short.contains("\n  tilecast ") && short.len() < long.stdout.len(), "{short}");
     }
     assert_eq!(folder.tilecast(["--version"]).code, Some(0));
+}
+
+/// Made of the same description as `--help`: fails if a command has no page, or a page no example.
+#[test]
+fn shells_and_man_know_every_command() {
+    let folder = Folder::new();
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = folder.tilecast(["completions", shell]);
+        assert_eq!((script.code, script.stderr.as_str()), (Some(0), ""));
+        assert!(script.stdout.contains("coordinator") && script.stdout.contains("target-error"), "{shell}");
+    }
+    assert_eq!(folder.tilecast(["man", "pages"]).code, Some(0));
+    for page in ["tilecast", "tilecast-render", "tilecast-certs-init", "tilecast-launch-slurm"] {
+        let text = std::fs::read_to_string(folder.path(&format!("pages/{page}.1"))).unwrap();
+        assert!(text.contains(".SH SYNOPSIS"), "{page}: {text}");
+        assert!(page == "tilecast-certs-init" || text.contains(".SH EXAMPLES"), "{page}: {text}");
+    }
 }
 
 /// A sample's path, and the same radiance whatever the crop, workers or samples of the render that met it.

@@ -61,12 +61,18 @@ impl Folder {
 
     /// Starts tilecast here.
     pub fn start<S: AsRef<str>>(&self, args: impl IntoIterator<Item = S>) -> Running {
+        self.start_with(args, &[])
+    }
+
+    /// Starts tilecast here, in another environment.
+    pub fn start_with<S: AsRef<str>>(&self, args: impl IntoIterator<Item = S>, env: &[(&str, &str)]) -> Running {
         let args: Vec<String> = args.into_iter().map(|arg| arg.as_ref().to_owned()).collect();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tilecast"))
             .args(&args)
             .current_dir(self.0.path())
             .env_remove("TILECAST_ISA")
             .env_remove("TILECAST_LOG")
+            .envs(env.iter().copied())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

@@ -17,7 +17,7 @@ use tilecast_core::trace::Tracer;
 use tilecast_proto::client::{call, chunks};
 use tilecast_proto::convert::{WireError, work_key};
 use tilecast_proto::limits::{KNOWN_JOBS_MAX, MESSAGE_BYTES_MAX};
-use tilecast_proto::transport::{Connector, Line};
+use tilecast_proto::transport::{Connector, Line, unheard};
 use tilecast_proto::types::{
     Failure, Fence, Heartbeat, HeartbeatReply, JobId, JobWork, LeaseReply, LeaseRequest, Leave, ResultHeader, Verdict,
     Welcome, WorkerId, WorkerInfo,
@@ -90,7 +90,8 @@ impl Session {
             .max_decoding_message_size(MESSAGE_BYTES_MAX)
             .max_encoding_message_size(MESSAGE_BYTES_MAX);
         let hello = wire::Hello::from(info.clone());
-        let welcome = work.register(call(hello)).await.map_err(end)?.into_inner();
+        let lost = |status| unheard(&status).map_or_else(|| end(status), |e| End::Lost(e.to_string()));
+        let welcome = work.register(call(hello)).await.map_err(lost)?.into_inner();
         let Welcome { worker, heartbeat } = welcome.try_into().map_err(|e: WireError| End::Refused(e.to_string()))?;
         tracing::info!(worker = worker.0, "registered");
         Ok(Self {
