@@ -16,6 +16,8 @@ mod cluster;
 /// Images against images: distances, verdicts, and what cannot be compared.
 #[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
 mod compare;
+/// What deploy/ starts.
+mod deploy;
 /// One image, whatever computed it: threads, processes, tiles, instruction sets, losses.
 mod digest;
 /// What is in the written files.
@@ -26,9 +28,15 @@ mod faults;
 mod flood;
 /// Processes and folders that are gone when a test is, however it ends.
 mod harness;
+/// Workers that ssh and Slurm start.
+#[cfg(target_os = "linux")]
+mod launch;
 /// Workers that bring wrong sums on purpose.
 #[cfg(test)]
 mod liars;
+/// README and docs: their commands run, their flags exist.
+#[cfg(target_os = "linux")]
+mod pages;
 /// Images gone on with, joined and interrupted.
 #[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
 mod references;
