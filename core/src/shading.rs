@@ -4,7 +4,6 @@ mod bend;
 mod simple;
 
 use crate::bsdf::{Closure, Evaluation, Sample};
-use crate::bvh::simd::Lanes;
 use crate::frame::Frame;
 use crate::geometry::Geometry;
 use crate::scene::{Bsdf, BsdfId, Scene, Texture, TextureId};
@@ -104,9 +103,9 @@ impl Materials {
 
     /// Asks for the texels that may be looked up on a shape, ahead of time.
     #[inline(always)]
-    pub fn prefetch<L: Lanes>(&self, lanes: L, textures: &Textures, shape: u32, uv: Vec2) {
+    pub fn prefetch(&self, textures: &Textures, shape: u32, uv: Vec2) {
         for id in &self.bitmaps[shape as usize] {
-            textures.prefetch(lanes, *id, uv);
+            textures.prefetch(*id, uv);
         }
     }
 

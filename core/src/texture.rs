@@ -2,7 +2,7 @@
 
 mod attribute;
 
-use crate::bvh::simd::Lanes;
+use crate::bvh::simd::prefetch_line;
 use crate::scene::{FilterType, Image, Scene, Texels, Texture, TextureId, WrapMode};
 use crate::surface::Surface;
 use attribute::Attributes;
@@ -51,20 +51,26 @@ impl Textures {
 
     /// Asks for the texels that [`Textures::at`] will read, ahead of time.
     #[inline(always)]
-    pub fn prefetch<L: Lanes>(&self, lanes: L, id: TextureId, uv: Vec2) {
+    pub fn prefetch(&self, id: TextureId, uv: Vec2) {
         let Texture::Bitmap { image, to_uv, wrap, .. } = &self.textures[id.0 as usize] else { return };
         let image = &self.images[image.0 as usize];
         let p = texels(image, to_uv, uv) - Vec2::splat(0.5);
         let (x, y) = (floor(p.x), floor(p.y));
         let column = wrapped(x, image.width, *wrap) as usize;
         for y in [y, y + 1.0] {
-            let i = wrapped(y, image.height, *wrap) as usize * image.width as usize + column;
-            match &image.texels {
-                Texels::Grey8 { data, .. } => lanes.prefetch(&data[i]),
-                Texels::Rgb8 { data, .. } => lanes.prefetch(&data[3 * i]),
-                Texels::Grey32(data) => lanes.prefetch(&data[i]),
-                Texels::Rgb32(data) => lanes.prefetch(&data[3 * i]),
-            }
+            let row = wrapped(y, image.height, *wrap) as usize * image.width as usize;
+            self.prefetch_texel(image, row + column);
+        }
+    }
+
+    /// Asks for the pixel of this index, ahead of time.
+    #[inline(always)]
+    pub(crate) fn prefetch_texel(&self, image: &Image, i: usize) {
+        match &image.texels {
+            Texels::Grey8 { data, .. } => prefetch_line(&data[i]),
+            Texels::Rgb8 { data, .. } => prefetch_line(&data[3 * i]),
+            Texels::Grey32(data) => prefetch_line(&data[i]),
+            Texels::Rgb32(data) => prefetch_line(&data[3 * i]),
         }
     }
 

@@ -5,7 +5,7 @@ mod lists;
 mod place;
 mod tangents;
 
-use crate::bvh::simd::Lanes;
+use crate::bvh::simd::{Lanes, prefetch_line};
 use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit, triangle_bounds};
 use crate::frame::Frame;
 use crate::scene::{Scene, Shape};
@@ -24,6 +24,8 @@ const NONE: u32 = u32::MAX;
 /// Hierarchies of more bytes are searched by many rays in turns. Below, single rays are as fast or faster: measured on scenes of up
 /// to 260,000 triangles.
 const TURNS_FROM: usize = 1 << 26;
+/// With so many triangles it pays to ask for what tables say of them ahead of time; with fewer all of it is near anyway.
+const SCATTERED_FROM: u32 = 1 << 12;
 /// Rays handed over to the hierarchy at a time.
 const TURNS: usize = 256;
 
@@ -45,6 +47,8 @@ pub struct Geometry {
     bvh: TriangleBvh,
     /// Rays take turns in the hierarchy of triangles: it is too large for the nearest cache.
     in_turns: bool,
+    /// Tables of triangles are larger than the nearest cache.
+    is_scattered: bool,
     analytic_bvh: AnalyticBvh,
     instances: Option<Box<Instances>>,
 }
@@ -165,6 +169,7 @@ impl Geometry {
             shapes,
             first_shape,
             in_turns: bvh.stats().bytes > TURNS_FROM,
+            is_scattered: triangle_count > SCATTERED_FROM,
             bvh,
             analytic_bvh,
             instances: None,
@@ -316,6 +321,32 @@ impl Geometry {
             instance: None,
             primitive: triangle,
             light: point.light,
+        }
+    }
+
+    /// Asks for what [`Geometry::triangle_point`] will read at these hits, ahead of time.
+    #[inline(always)]
+    pub fn prefetch(&self, hits: &[Option<Hit>]) {
+        if !self.is_scattered {
+            return;
+        }
+        let triangles =
+            || hits.iter().filter_map(|hit| if let Some(Hit::Triangle(hit)) = hit { Some(hit) } else { None });
+        for hit in triangles() {
+            prefetch_line(&self.triangles[hit.triangle as usize]);
+            prefetch_line(&self.triangle_shapes[hit.triangle as usize]);
+        }
+        for hit in triangles() {
+            let table = &self.shapes[self.triangle_shapes[hit.triangle as usize] as usize];
+            for vertex in self.triangles[hit.triangle as usize] {
+                prefetch_line(&self.positions[vertex as usize]);
+                if table.first_normal != NONE {
+                    prefetch_line(&self.normals[(vertex - table.first_vertex + table.first_normal) as usize]);
+                }
+                if table.first_uv != NONE {
+                    prefetch_line(&self.uvs[(vertex - table.first_vertex + table.first_uv) as usize]);
+                }
+            }
         }
     }
 

@@ -8,7 +8,7 @@ use crate::bvh::Ray;
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::geometry::{Hit, place};
 use crate::sampler::{Sampler, Slot};
-use crate::settings::{Offsets, SamplerKind};
+use crate::settings::{Offsets, SamplerKind, Strategy};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::witness::{Cause, Event, Witness};
@@ -28,6 +28,11 @@ impl Estimator {
         witness: &mut W,
     ) {
         let count = self.trace(lanes, world, wave, witness);
+        world.geometry.prefetch(&wave.hits[..count]);
+        for k in (0..count).filter(|&k| wave.hits[k].is_none()) {
+            let mis = self.strategy == Strategy::Mis;
+            world.lights.prefetch_background(&world.textures, wave.rays[k].direction, mis);
+        }
         let mut arrived = 0;
         for k in 0..count {
             let i = wave.owners[k];
@@ -43,7 +48,7 @@ impl Estimator {
                 let b = Vec2::new(hit.u, hit.v);
                 let point = world.geometry.triangle_point(hit.triangle, b);
                 // They will be here when all points are computed.
-                world.materials.prefetch(lanes, &world.textures, point.shape, point.uv);
+                world.materials.prefetch(&world.textures, point.shape, point.uv);
                 wave.triangles.set_corners(i, point.corners);
                 wave.triangles.extra.set(i, point.shading);
                 let surfaces = &mut wave.surfaces;

@@ -1,6 +1,6 @@
 //! At surfaces: light sampled there, and the ray that goes on.
 
-use super::rows::WIDTH;
+use super::rows::{NONE, WIDTH};
 use super::wave::{Rules, State, Wave};
 use super::{BRANCHES, Estimator, power_heuristic};
 use crate::bsdf::{Diffuse, Evaluation, Sample};
@@ -241,7 +241,7 @@ impl Kernel for ChooseLights<'_, '_> {
         wave.is_plain = [false; WIDTH];
         for k in 0..count {
             let i = wave.chosen[k];
-            wave.light[i] = super::rows::NONE;
+            wave.light[i] = NONE;
             wave.lights.is_some[i] = false;
             if !wave.is_diffuse[i] && wave.shadings[i].closure.is_delta() {
                 continue;
@@ -279,9 +279,16 @@ impl Kernel for OtherLights<'_, '_> {
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
         let Self { world, wave, count, with_bsdf } = self;
+        let is_other = |wave: &Wave, i: usize| !wave.is_plain[i] && wave.light[i] != NONE;
         for k in 0..count {
             let i = wave.chosen[k];
-            if wave.is_plain[i] || wave.light[i] == super::rows::NONE {
+            if is_other(wave, i) {
+                world.lights.prefetch(&world.textures, wave.light[i], wave.lights.u.at(i), with_bsdf);
+            }
+        }
+        for k in 0..count {
+            let i = wave.chosen[k];
+            if !is_other(wave, i) {
                 continue;
             }
             let (light, probability, u) = (wave.light[i], wave.lights.probability[i], wave.lights.u.at(i));

@@ -11,7 +11,7 @@ pub enum Background {
     /// The same radiance from everywhere.
     Constant(Vec3),
     /// An image all around.
-    Environment(Environment),
+    Environment(Box<Environment>),
 }
 
 impl Background {
@@ -31,6 +31,22 @@ impl Background {
         match self {
             Background::Constant(radiance) => (uniform_sphere(u), *radiance, UNIFORM_SPHERE_PDF),
             Background::Environment(environment) => environment.sample(textures, u, mis),
+        }
+    }
+
+    /// Asks for what [`Background::sample`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch(&self, textures: &Textures, u: Vec2, mis: bool) {
+        if let Background::Environment(environment) = self {
+            environment.prefetch(textures, u, mis);
+        }
+    }
+
+    /// Asks for what [`Background::at`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch_at(&self, textures: &Textures, wi: Vec3, mis: bool) {
+        if let Background::Environment(environment) = self {
+            environment.prefetch_at(textures, wi, mis);
         }
     }
 

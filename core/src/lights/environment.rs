@@ -9,6 +9,7 @@
 //! stratification is worth more than its speed.
 
 use super::luminance;
+use crate::bvh::simd::prefetch_line;
 use crate::scene::Image;
 use crate::texture::Textures;
 use crate::trig::{atan2, sin_cos_turn};
@@ -19,6 +20,10 @@ use std::sync::Arc;
 
 /// Random numbers are multiples of 2^-24. Choices have probabilities that are such multiples too, which makes them exact.
 const STEPS: u32 = 1 << 24;
+
+/// Entries of a guide, each for an equal part of the steps: what a choice falls on is then a few items away at most, on average
+/// (Chen & Asau 1974), where a binary search would touch memory in many places.
+const GUIDE: usize = 128;
 
 /// An environment map, ready for look-up and sampling.
 pub struct Environment {
@@ -53,8 +58,12 @@ struct Distribution {
     floor: f32,
     /// Cumulative probabilities of rows of cells, in steps.
     rows: Vec<u32>,
+    /// Where to look among them.
+    row_guide: Vec<u32>,
     /// Those of the cells in each row, width + 1 a row.
     columns: Vec<u32>,
+    /// Where to look among those of each row, [`GUIDE`] a row.
+    column_guides: Vec<u32>,
 }
 
 impl Environment {
@@ -113,9 +122,7 @@ impl Environment {
     #[inline(always)]
     pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> (Vec3, Vec3, f32) {
         let distribution = self.distribution(mis);
-        let (row, v) = choose(&distribution.rows, u.y);
-        let stride = self.image.width as usize + 1;
-        let (column, u) = choose(&distribution.columns[row * stride..][..stride], u.x);
+        let ((column, row), Vec2 { x: u, y: v }) = distribution.choose(u, self.image.width as usize);
         let corners = self.corners(textures, column, row);
         let weight = |texel: Vec3| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE);
         let (a, b, c, d) = (weight(corners[0]), weight(corners[1]), weight(corners[2]), weight(corners[3]));
@@ -129,6 +136,28 @@ impl Environment {
         let (radiance, pdf) = self.within(&Cell { column, row, x: across, y, height: down }, corners, distribution);
         let wi = self.to_world * Vec3::new(sin_theta * sin_phi, 1.0 - height, -sin_theta * cos_phi);
         (wi, radiance, pdf)
+    }
+
+    /// Asks for the texels that [`Environment::sample`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch(&self, textures: &Textures, u: Vec2, mis: bool) {
+        let ((column, row), _) = self.distribution(mis).choose(u, self.image.width as usize);
+        self.prefetch_cell(textures, column, row);
+    }
+
+    /// Asks for what [`Environment::at`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch_at(&self, textures: &Textures, wi: Vec3, mis: bool) {
+        let Cell { column, row, .. } = self.cell(self.to_world.transpose() * wi);
+        self.prefetch_cell(textures, column, row);
+        prefetch_line(&self.distribution(mis).columns[row * (self.image.width as usize + 1) + column]);
+    }
+
+    #[inline(always)]
+    fn prefetch_cell(&self, textures: &Textures, column: usize, row: usize) {
+        for row in [row, row + 1] {
+            textures.prefetch_texel(&self.image, row * self.image.width as usize + column);
+        }
     }
 
     /// Where a direction of the image's space meets it.
@@ -168,7 +197,8 @@ impl Distribution {
     /// Probabilities for texels of these luminances less `floor`, and the mean over all directions of that.
     fn new(texels: &[f32], heights: &[f32], floor: f32) -> (Self, f32) {
         let width = texels.len() / heights.len();
-        let mut distribution = Self { floor, rows: Vec::new(), columns: Vec::new() };
+        let mut distribution =
+            Self { floor, rows: Vec::new(), row_guide: Vec::new(), columns: Vec::new(), column_guides: Vec::new() };
         let mut row_weights = Vec::with_capacity(heights.len() - 1);
         let mut weights = vec![0.0; width];
         for (row, pair) in heights.windows(2).enumerate() {
@@ -179,10 +209,21 @@ impl Distribution {
             let across = weights.iter().sum::<f64>() / width as f64;
             row_weights.push(across * 0.5 * f64::from(pair[1] - pair[0])); // heights span 0 to 2
             let cumulative = cumulate(&weights);
+            distribution.column_guides.extend(guide(&cumulative));
             distribution.columns.extend(cumulative);
         }
         distribution.rows = cumulate(&row_weights);
+        distribution.row_guide = guide(&distribution.rows).collect();
         (distribution, row_weights.iter().sum::<f64>() as f32)
+    }
+
+    /// The column and row of the cell that two random numbers fall on, and where in it, in (0, 1).
+    #[inline(always)]
+    fn choose(&self, u: Vec2, width: usize) -> ((usize, usize), Vec2) {
+        let (row, v) = choose(&self.rows, &self.row_guide, u.y);
+        let columns = &self.columns[row * (width + 1)..][..width + 1];
+        let (column, u) = choose(columns, &self.column_guides[row * GUIDE..][..GUIDE], u.x);
+        ((column, row), Vec2::new(u, v))
     }
 
     #[inline(always)]
@@ -215,11 +256,23 @@ fn cumulate(weights: &[f64]) -> Vec<u32> {
     cumulative
 }
 
+/// For each of [`GUIDE`] equal parts of the steps, the item that its first step falls on.
+fn guide(cumulative: &[u32]) -> impl Iterator<Item = u32> {
+    let last = cumulative.len() - 2;
+    (0..GUIDE).map(move |part| {
+        let step = (part * (STEPS as usize / GUIDE)) as u32;
+        (cumulative.partition_point(|&c| c <= step).max(1) - 1).min(last) as u32
+    })
+}
+
 /// The item that `u` falls on, and where on it, in (0, 1).
 #[inline(always)]
-fn choose(cumulative: &[u32], u: f32) -> (usize, f32) {
-    let step = (u * STEPS as f32) as u32;
-    let item = cumulative.partition_point(|&c| c <= step).clamp(1, cumulative.len() - 1) - 1;
+fn choose(cumulative: &[u32], guide: &[u32], u: f32) -> (usize, f32) {
+    let step = ((u * STEPS as f32) as u32).min(STEPS - 1);
+    let mut item = guide[step as usize / (STEPS as usize / GUIDE)] as usize;
+    while item + 2 < cumulative.len() && cumulative[item + 1] <= step {
+        item += 1;
+    }
     let width = (cumulative[item + 1] - cumulative[item]).max(1);
     (item, ((step - cumulative[item].min(step)) as f32 + 0.5) / width as f32)
 }
@@ -245,6 +298,29 @@ mod tests {
             0..=3 => 0.0,
             4 => 60.0,
             k => k as f32 * 0.1,
+        }
+    }
+
+    /// Guides change nothing but time: every step falls on the item that a binary search finds. Fails if a guide begins behind
+    /// the item of its first step.
+    #[test]
+    fn guides_lead_to_the_item() {
+        for weights in
+            [vec![0.0; 5], vec![1.0], vec![0.0, 3.0, 0.0], (0..999).map(|i| f64::from(i % 7 / 5 * i)).collect()]
+        {
+            let cumulative = cumulate(&weights);
+            let guide: Vec<u32> = guide(&cumulative).collect();
+            for step in
+                (0..STEPS).step_by(997).chain([1, STEPS - 1]).chain(cumulative.iter().map(|&c| c.min(STEPS - 1)))
+            {
+                let searched = cumulative.partition_point(|&c| c <= step).clamp(1, cumulative.len() - 1) - 1;
+                assert_eq!(
+                    choose(&cumulative, &guide, step as f32 / STEPS as f32).0,
+                    searched,
+                    "step {step} of {}",
+                    weights.len()
+                );
+            }
         }
     }
 

@@ -112,7 +112,7 @@ fn beyond_surfaces(scene: &Scene, textures: &Textures, emitter: &Emitter, across
         Emitter::Constant { radiance } => around(Background::Constant(radiance)),
         Emitter::Envmap { image, scale, to_world } => {
             let image = scene.images[image.0 as usize].clone();
-            around(Background::Environment(Environment::new(textures, image, scale, to_world)))
+            around(Background::Environment(Box::new(Environment::new(textures, image, scale, to_world))))
         }
         Emitter::Point { position, intensity } => {
             let brightness = luminance(intensity);

@@ -160,6 +160,22 @@ impl Lights {
         }
     }
 
+    /// Asks for what [`Lights::sample`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch(&self, textures: &Textures, light: u32, u: Vec2, mis: bool) {
+        if let (Light::Background, Some((background, _))) = (&self.lights[light as usize], &self.background) {
+            background.prefetch(textures, u, mis);
+        }
+    }
+
+    /// Asks for what [`Lights::background`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch_background(&self, textures: &Textures, wi: Vec3, mis: bool) {
+        if let Some((background, _)) = &self.background {
+            background.prefetch_at(textures, wi, mis);
+        }
+    }
+
     /// Density in solid angle with which [`Lights::sample`] finds the emitting point `point` from a surface at `from` with the
     /// shading normal `normal`.
     #[inline(always)]

@@ -103,11 +103,24 @@ pub fn prefetch<T>(items: &[T], index: usize) {
 /// Asks for four cache lines from `address` on, which may be any at all.
 #[inline(always)]
 pub fn prefetch_lines(address: *const u8) {
-    #[cfg(target_arch = "x86_64")]
     for line in 0..4 {
+        prefetch_address(address.wrapping_add(64 * line));
+    }
+}
+
+/// Asks for the cache line in which `item` begins.
+#[inline(always)]
+pub fn prefetch_line<T>(item: &T) {
+    prefetch_address(std::ptr::from_ref(item).cast());
+}
+
+#[inline(always)]
+fn prefetch_address(address: *const u8) {
+    #[cfg(target_arch = "x86_64")]
+    {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         // SAFETY: SSE is part of x86-64, and a prefetch of any address at all has no effect but on caches.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(address.wrapping_add(64 * line).cast()) };
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(address.cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = address;

@@ -15,6 +15,7 @@ mod x86;
 #[cfg(target_arch = "x86_64")]
 pub use x86::{Avx2, Avx512};
 
+pub(crate) use memory::prefetch_line;
 pub(super) use memory::{Stack, StackMemory, prefetch, prefetch_lines};
 pub use portable::Portable;
 
@@ -58,9 +59,6 @@ pub trait Lanes: Copy + Send + Sync + 'static {
     /// meaningless. Each is its entry's bits, the last three of them cleared and used otherwise, above the child. Entries
     /// are not negative. The order of equal or nearly equal entries depends on the path.
     fn far_to_near(self, near: Self::X8, far: Self::X8, children: &[u32; 8]) -> ([u64; 8], usize);
-
-    /// Asks for the memory that `first` lies in, ahead of its use. Changes nothing but time.
-    fn prefetch<T>(self, first: &T);
 
     /// Runs `kernel` compiled with the instructions of this path.
     fn run<K: Kernel>(self, kernel: K) -> K::Output;

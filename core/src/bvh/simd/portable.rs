@@ -94,9 +94,6 @@ impl Lanes for Portable {
         (entries, count)
     }
 
-    #[inline(always)]
-    fn prefetch<T>(self, _: &T) {}
-
     #[inline(never)]
     fn run<K: Kernel>(self, kernel: K) -> K::Output {
         kernel.run(self)

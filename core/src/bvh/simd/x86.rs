@@ -231,12 +231,6 @@ unsafe fn descending(x: __m256i) -> __m256i {
     }
 }
 
-#[inline(always)]
-fn prefetch<T>(first: &T) {
-    // SAFETY: all of x86-64 has it; a reference is a valid address, and a prefetch reads nothing that could be seen.
-    unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(first).cast()) };
-}
-
 impl Lanes for Avx2 {
     type X8 = F32x8<false>;
     type X4 = F32x4<false>;
@@ -244,11 +238,6 @@ impl Lanes for Avx2 {
     #[inline(always)]
     fn far_to_near(self, near: Self::X8, far: Self::X8, children: &[u32; 8]) -> ([u64; 8], usize) {
         far_to_near(near, far, children)
-    }
-
-    #[inline(always)]
-    fn prefetch<T>(self, first: &T) {
-        prefetch(first);
     }
 
     #[inline(always)]
@@ -270,11 +259,6 @@ impl Lanes for Avx512 {
     #[inline(always)]
     fn far_to_near(self, near: Self::X8, far: Self::X8, children: &[u32; 8]) -> ([u64; 8], usize) {
         far_to_near(near, far, children)
-    }
-
-    #[inline(always)]
-    fn prefetch<T>(self, first: &T) {
-        prefetch(first);
     }
 
     #[inline(always)]
