@@ -109,7 +109,7 @@ impl Connector {
         };
         result
             .map(|channel| InterceptedService::new(channel, bearer))
-            .map_err(|e| ConnectError::Unreachable { address, reason: innermost(&e) })
+            .map_err(|e| ConnectError::Unreachable { address, reason: meant(innermost(&e)) })
     }
 }
 
@@ -209,6 +209,17 @@ fn tuned(endpoint: Endpoint) -> Endpoint {
         .tcp_nodelay(true)
         .connect_timeout(Duration::from_millis(CONNECT_MS_MAX))
         .http2_keep_alive_interval(Duration::from_millis(KEEP_ALIVE_MS))
+}
+
+/// What rustls says of the certificates, in the words of those who made them.
+fn meant(reason: String) -> String {
+    match reason.as_str() {
+        r if r.contains("InvalidContentType") => format!("{reason}: it was started without --certs"),
+        r if r.contains("BadSignature") || r.contains("UnknownIssuer") => {
+            format!("{reason}: its --certs are of another `tilecast certs init` than these")
+        }
+        _ => reason,
+    }
 }
 
 /// tonic's error says "transport error"; the reason is at the end of the chain.

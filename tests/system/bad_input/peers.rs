@@ -1,7 +1,7 @@
 //! Coordinators and workers that are absent, taken, or another version.
 
 use super::{FAILED, refused};
-use crate::harness::{Folder, coordinator, poll, scene};
+use crate::harness::{Folder, coordinator, coordinator_with, poll, scene};
 use std::convert::Infallible;
 use std::net::TcpListener;
 use std::task::{Context, Poll};
@@ -24,6 +24,22 @@ fn a_port_in_use() {
     let first = coordinator(&folder);
     refused(&folder, &["coordinator", "--listen", &first.address], FAILED, &["--listen", &first.address]);
     refused(&folder, &["coordinator", "--listen", "nonsense"], FAILED, &["--listen", "nonsense"]);
+}
+
+/// Each way of not fitting is told as what it is. Fails if the words of TLS change, which people would see bare then.
+#[test]
+fn certificates_that_do_not_fit() {
+    let folder = Folder::new();
+    for name in ["ours", "theirs"] {
+        assert_eq!(folder.tilecast(["certs", "init", name]).code, Some(0));
+    }
+    let secure = coordinator_with(&folder, &["--listen", "127.0.0.1:0", "--certs", "ours"]);
+    let status = ["status", "--connect", &secure.address];
+    refused(&folder, &status, FAILED, &["hangs up at the first word", "--certs"]);
+    refused(&folder, &[&status[..], &["--certs", "theirs"]].concat(), FAILED, &["of another `tilecast certs init`"]);
+    let open = coordinator(&folder);
+    let status = ["status", "--connect", &open.address, "--certs", "ours"];
+    refused(&folder, &status, FAILED, &["started without --certs"]);
 }
 
 #[test]
