@@ -4,6 +4,9 @@
 //! products is never wrong, only possibly zero, and zero counts as inside, so no ray passes between triangles that share
 //! an edge. A hit counts only where the ray passes the triangle's own box ([`triangle_bounds`]), and is no nearer than the entry
 //! into it; both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
+//!
+//! Whether a triangle lies ahead of the ray's origin is decided in f64 where f32 may be wrong: a ray that leaves a thin triangle starts
+//! nearer to its plane than t is known.
 
 use super::node::Leaf;
 use super::simd::{Floats, Lanes};
@@ -39,6 +42,11 @@ impl Block {
         block
     }
 
+    /// The vertices of a lane.
+    fn triangle(&self, lane: usize) -> [Vec3; 3] {
+        [0, 1, 2].map(|vertex| Vec3::from_array([0, 1, 2].map(|axis| self.rows[axis][vertex][lane])))
+    }
+
     /// The numbers of the block's triangles.
     #[cfg(test)]
     pub fn ids(&self) -> [u32; BLOCK] {
@@ -50,6 +58,12 @@ impl Block {
 const EXTENT_PAD: f32 = 4.0 / (1 << 24) as f32;
 /// One step of f32 at the vertex itself.
 const VERTEX_PAD: f32 = 2.0 / (1 << 24) as f32;
+
+/// What the numerator of t loses to rounding, relative to the cube of the triangle's size, if the ray starts on it: 6 · 138 units of
+/// 2^-24 in the worst case (coordinates up to one size along the ray and two across it, each operation rounded once).
+const DOUBT: f32 = 2048.0 / (1 << 24) as f32;
+/// How far off its triangle a ray may start, relative to its coordinates: 35 units of 2^-24 ([`crate::surface::Surface::ray`]).
+const START: f32 = 64.0 / (1 << 24) as f32;
 
 /// The box of a triangle, padded so that a ray which passes the triangle up to rounding passes the box.
 pub fn triangle_bounds(vertices: [Vec3; 3]) -> Aabb {
@@ -95,6 +109,10 @@ pub struct Blocks<'a> {
     axes: [usize; 3],
     /// The ray's origin along them.
     origin: [f32; 3],
+    /// Its direction along x, y and z.
+    direction: Vec3,
+    /// How far off the surface it may have started.
+    start: f32,
     /// What the first two coordinates lose a unit of the third.
     shear: [f32; 2],
     /// From the third coordinate to t.
@@ -129,6 +147,8 @@ impl<'a> Blocks<'a> {
             blocks,
             axes,
             origin: [ray.origin[axes[0]], ray.origin[axes[1]], ray.origin[axes[2]]],
+            direction: ray.direction,
+            start: ray.origin.abs().max_element() * START,
             shear: [dx / dz, dy / dz],
             scale: 1.0 / dz,
             nearest: Nearest { t: ray.t_max, v: 0.0, w: 0.0, det: 1.0, triangle: u32::MAX },
@@ -163,21 +183,51 @@ impl<'a> Blocks<'a> {
             return None;
         }
         let det = u.add(v).add(w);
-        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).div(det).mul(L::X4::splat(lanes, self.scale));
+        let numerator = u.mul(az).add(v.mul(bz)).add(w.mul(cz));
+        let t = numerator.div(det).mul(L::X4::splat(lanes, self.scale));
         // A zero `det` makes t NaN or infinite; t_max may be infinite too, so it is named.
         let not_flat = det.lt(zero) | zero.lt(det);
         let mask = inside & not_flat & zero.lt(t) & t.le(L::X4::splat(lanes, t_max));
         if mask == 0 {
             return None;
         }
-        let (mask, t) = in_own_box(lanes, slabs, block, mask, t, t_max);
+        let (mut mask, t, size) = in_own_box(lanes, slabs, block, mask, t, t_max);
+        let size = size.add(L::X4::splat(lanes, self.start));
+        let bound = size.mul(size).mul(size).mul(L::X4::splat(lanes, DOUBT));
+        let mut doubtful = mask & numerator.max(zero.sub(numerator)).le(bound);
+        while doubtful != 0 {
+            let lane = doubtful.trailing_zeros() as usize & (BLOCK - 1);
+            doubtful &= doubtful - 1;
+            if !is_ahead(slabs.origin, self.direction, block.triangle(lane)) {
+                mask &= !(1 << lane);
+            }
+        }
         (mask != 0).then_some(Inside { mask, t, v, w, det })
     }
 }
 
-/// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it. This is rare: about once a ray.
+/// Whether the ray meets the triangle's plane ahead of its origin. Differences of f32 and their products are all but exact in f64, so
+/// that for slivers of up to 1 : 10^8 this is right wherever the origin is off the plane by more than a position's rounding.
+#[cold]
+#[inline(never)]
+fn is_ahead(origin: [f32; 3], direction: Vec3, corners: [Vec3; 3]) -> bool {
+    let [a, b, c] = corners.map(Vec3::as_dvec3);
+    let normal = (b - a).cross(c - a);
+    let (away, towards) = (normal.dot(a - Vec3::from_array(origin).as_dvec3()), normal.dot(direction.as_dvec3()));
+    (away > 0.0 && towards > 0.0) || (away < 0.0 && towards < 0.0)
+}
+
+/// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it; gives the boxes' longest sides, too. This is
+/// rare: about once a ray.
 #[inline(always)]
-fn in_own_box<L: Lanes>(lanes: L, slabs: &Slabs, block: &Block, mask: u32, t: L::X4, t_max: f32) -> (u32, L::X4) {
+fn in_own_box<L: Lanes>(
+    lanes: L,
+    slabs: &Slabs,
+    block: &Block,
+    mask: u32,
+    t: L::X4,
+    t_max: f32,
+) -> (u32, L::X4, L::X4) {
     let splat = |x: f32| L::X4::splat(lanes, x);
     let tight = |axis: usize| {
         let [a, b, c] = &block.rows[axis];
@@ -187,13 +237,14 @@ fn in_own_box<L: Lanes>(lanes: L, slabs: &Slabs, block: &Block, mask: u32, t: L:
     // The same as `triangle_bounds`.
     let sides = [tight(0), tight(1), tight(2)];
     let size = |axis: usize| sides[axis][1].sub(sides[axis][0]);
-    let extent = size(0).max(size(1)).max(size(2)).mul(splat(EXTENT_PAD));
+    let longest = size(0).max(size(1)).max(size(2));
+    let extent = longest.mul(splat(EXTENT_PAD));
     let pad = |side: L::X4| extent.add(side.max(splat(0.0).sub(side)).mul(splat(VERTEX_PAD)));
     let apart = |[lower, upper]: [L::X4; 2]| [lower.sub(pad(lower)), upper.add(pad(upper))];
     let padded = [apart(sides[0]), apart(sides[1]), apart(sides[2])];
     let (near, far) = slabs.spans(lanes, |axis, side| padded[axis][side], f32::INFINITY);
     let t = t.max(near);
-    (mask & near.le(far) & t.le(splat(t_max)), t)
+    (mask & near.le(far) & t.le(splat(t_max)), t, longest)
 }
 
 impl<L: Lanes> Leaves<L> for Blocks<'_> {

@@ -85,8 +85,8 @@ const HERE: Placement = Placement { scale: 1.0, turn: DMat3::IDENTITY, to: DVec3
 /// Largest extent of the box.
 const EXTENT: f64 = 560.0;
 
-/// z-tests against the original with another seed: single pixels, and the mean of the whole. Meant to
-/// fail with rays that start a fixed distance off their surface (in the small ones) and with two axes exchanged (in the turned one).
+/// z-tests against the original with another seed: single pixels, and the mean of the whole. Seen to
+/// fail with rays that start a fixed distance off their surface, and with two axes exchanged for rays that go along x.
 #[test]
 fn place_size_and_turn_do_not_matter() {
     let (size, spp) = if long() { ([48, 48], 1024) } else { ([16, 16], 256) };
@@ -108,8 +108,8 @@ fn place_size_and_turn_do_not_matter() {
     }
 }
 
-/// Radiance times a power of two is the image times it, to the bit. Fails for any threshold in units of radiance: a clamp, a
-/// roulette on radiance, a fixed scale of the film.
+/// Radiance times a power of two is the image times it, to the bit. Seen to fail with samples clamped at 1000, as it
+/// would for any threshold in units of radiance.
 #[test]
 fn brightness_scales_the_image_exactly() {
     let means = |exponent: i32| {

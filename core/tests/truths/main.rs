@@ -4,9 +4,12 @@
 
 mod analytic;
 mod build;
+mod closed;
 mod invariance;
 mod offsets;
+mod precise;
 mod replay;
 mod robust;
+mod sums;
 mod unbiased;
 mod watertight;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film;
+use tilecast_core::load::{LoadOptions, load};
 use tilecast_core::scene::{
     Bsdf, BsdfId, Distribution, Emitter, Geometry, Mesh, MeshId, Scene, Sensor, Shape, Texture, TextureId,
 };
@@ -284,4 +285,29 @@ fn glass_at_grazing_angles() {
             }
         }
     }
+}
+
+/// What a file may hold that is no surface: numbers that are none are an error which says where, triangles without area are left out
+/// with a note, and what has area stays, be it a sliver of 1 : 10^7, twice there, or in the plane of another.
+#[test]
+fn files_with_bad_triangles_load_or_say_why_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let xml = r#"<scene version="3.0.0"><sensor type="perspective"/><shape type="obj"><string name="filename" value="a.obj"/></shape></scene>"#;
+    let scene = folder.path().join("scene.xml");
+    std::fs::write(&scene, xml).unwrap();
+    let load = |obj: &str| {
+        std::fs::write(folder.path().join("a.obj"), obj).unwrap();
+        load(&scene, &LoadOptions::default())
+    };
+    let plain = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nv 0.5 1e-7 0\nv 2 0 0\n";
+    for bad in ["nan", "inf", "-inf", "1e39"] {
+        let error = load(&format!("v 0 {bad} 0\n{plain}f 1 2 3\n")).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains("a.obj:1:1") && error.contains("finite"), "{bad}: {error}");
+    }
+    // One twice, one in the same plane, a sliver; then one without area because its corners lie on a line, one with a corner twice.
+    let loaded = load(&format!("{plain}f 1 2 3\nf 1 2 3\nf 2 4 3\nf 1 2 5\nf 1 2 6\nf 1 1 2\n")).unwrap();
+    assert_eq!(loaded.scene.meshes[0].triangles.len(), 4);
+    let notes: Vec<String> = loaded.notes.iter().map(|note| note.to_string()).collect();
+    assert!(notes.iter().any(|note| note.contains("2 degenerate triangles")), "{notes:?}");
+    traced(&loaded.scene, &settings(5, 8, Directions::Mis), "bad triangles");
 }

@@ -3,6 +3,7 @@
 //! The traversal alone is tested beside it (`bvh/tests.rs`); here rays start where paths do, with the error bounds of surfaces.
 
 use crate::build::{camera, long, scene, shape};
+use crate::closed::{PLACES, closed, noise, noise3, placed, volume};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -12,89 +13,6 @@ use tilecast_core::geometry::{Geometry, Hit};
 use tilecast_core::scene::{Geometry as Shape, Mesh, MeshId};
 use tilecast_core::surface::Surface;
 use tilecast_core::world::World;
-
-/// A hash of (seed, index) in −1…1.
-fn noise(seed: u64, index: u64) -> f32 {
-    let mut x = seed.wrapping_mul(0xa076_1d64_78bd_642f) ^ index.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    for _ in 0..3 {
-        x = (x ^ x >> 31).wrapping_mul(0xd6e8_feb8_6659_fd93);
-    }
-    (x >> 40) as f32 / (1 << 23) as f32 - 1.0
-}
-
-fn noise3(seed: u64, index: u64) -> Vec3 {
-    Vec3::from_array([0, 1, 2].map(|k| noise(seed, 3 * index + k)))
-}
-
-/// A closed mesh around a circle of radius `core` (0: the origin), of about unit size.
-struct Closed {
-    name: &'static str,
-    mesh: Mesh,
-    core: f32,
-}
-
-/// `n` by `m` squares over the torus, or the sphere if `m` ends in poles; shared vertices, so that it is closed whatever the
-/// rounding.
-fn wrapped(n: u32, m: u32, poles: bool, point: impl Fn(f32, f32) -> Vec3) -> Mesh {
-    let rows = if poles { m + 1 } else { m };
-    let tau = std::f32::consts::TAU;
-    let mut mesh = Mesh::default();
-    for j in 0..rows {
-        for i in 0..n {
-            let (u, v) = (i as f32 / n as f32 * tau, j as f32 / m as f32 * if poles { 0.5 * tau } else { tau });
-            // All vertices of a pole are one.
-            let first = if poles && (j == 0 || j == m) { 0.0 } else { u };
-            mesh.positions.push(point(first, v));
-        }
-    }
-    let vertex = |i: u32, j: u32| {
-        let at_pole = poles && (j == 0 || j == m);
-        (j % rows) * n + if at_pole { 0 } else { i % n }
-    };
-    for j in 0..m {
-        for i in 0..n {
-            let [a, b, c, d] = [vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)];
-            mesh.triangles.extend([[a, b, c], [a, c, d]].into_iter().filter(|[a, b, c]| a != b && b != c && a != c));
-        }
-    }
-    mesh
-}
-
-fn around(u: f32, v: f32) -> Vec3 {
-    let ((sin_u, cos_u), (sin_v, cos_v)) = (libm::sincosf(u), libm::sincosf(v));
-    Vec3::new(sin_v * cos_u, sin_v * sin_u, cos_v)
-}
-
-fn closed() -> Vec<Closed> {
-    let torus = |u: f32, v: f32| {
-        let ((sin_u, cos_u), (sin_v, cos_v)) = (libm::sincosf(u), libm::sincosf(v));
-        Vec3::new((1.0 + 0.4 * cos_v) * cos_u, (1.0 + 0.4 * cos_v) * sin_u, 0.4 * sin_v)
-    };
-    vec![
-        Closed { name: "sphere", mesh: wrapped(64, 40, true, around), core: 0.0 },
-        Closed { name: "torus", mesh: wrapped(50, 30, false, torus), core: 1.0 },
-    ]
-}
-
-/// Scale and place of each test.
-const PLACES: [(f32, Vec3); 4] =
-    [(1.0, Vec3::ZERO), (100.0, Vec3::new(148_376.0, 1234.0, -223_423.0)), (1e6, Vec3::ZERO), (1e-6, Vec3::ZERO)];
-
-fn placed(closed: &Closed, (scale, to): (f32, Vec3)) -> (World, Mesh) {
-    let mut mesh = closed.mesh.clone();
-    mesh.positions.iter_mut().for_each(|p| *p = *p * scale + to);
-    let mut scene = scene(camera(Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z), 0.5, Vec::new());
-    scene.meshes.push(Arc::new(mesh.clone()));
-    scene.shapes.push(shape(Shape::Mesh(MeshId(0)), false));
-    scene.validate().unwrap();
-    (World::compile(&scene), mesh)
-}
-
-/// Six times the volume; negative if the normals point inwards.
-fn volume(mesh: &Mesh) -> f32 {
-    let parts = mesh.triangles.iter().map(|t| t.map(|v| mesh.positions[v as usize]));
-    parts.map(|[a, b, c]| a.dot(b.cross(c))).sum()
-}
 
 /// What went wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -150,7 +68,8 @@ impl Kernel for Probe<'_> {
 fn follow<L: Lanes>(lanes: L, geometry: &Geometry, surface: &Surface, outwards: f32, i: u64, faults: &mut Faults) {
     // Not the side that the ray came to: through an edge of the silhouette, it may belong to the triangle behind.
     let side = -outwards * surface.normal;
-    for (k, inwards) in [(0, true), (1, false)] {
+    let sided = has_sides(geometry.vertices(surface.primitive));
+    for (k, inwards) in [(0, sided), (1, false)] {
         let direction = noise3(9 + k, i);
         let cosine = direction.dot(side);
         let direction = if inwards && cosine < 0.0 { direction - 2.0 * cosine * side } else { direction };
@@ -162,8 +81,18 @@ fn follow<L: Lanes>(lanes: L, geometry: &Geometry, surface: &Surface, outwards: 
     }
 }
 
-/// Meant to fail with slabs that are not widened by their rounding, and with rays that start on the surface itself. Open: rays
-/// near the plane of a sliver meet it again, 3 of 60,000 on a mesh of slivers 1 : 100 (docs/accuracy.md).
+/// Whether the triangle is higher than the rounding of its vertices. Slivers that are not may be folded over: which of their sides is
+/// the inner one, nobody knows.
+fn has_sides(corners: [Vec3; 3]) -> bool {
+    let largest = corners.iter().fold(0.0f32, |largest, p| largest.max(p.abs().max_element()));
+    let [a, b, c] = corners.map(Vec3::as_dvec3);
+    let longest = (b - a).length().max((c - a).length()).max((c - b).length());
+    (b - a).cross(c - a).length() / longest > 8.0 * f64::from(largest * f32::EPSILON)
+}
+
+/// Seen to fail with slabs and boxes that are not widened by their rounding (3377 escapes of the first 300,000 rays), with rays that start
+/// on the surface itself (9555 meet it again), with a fixed offset of 10^-4, and where f32 alone decides whether a thin triangle lies ahead
+/// (52 of 30,000 rays meet the sliver that they leave).
 #[test]
 fn nothing_escapes_and_nothing_meets_itself() {
     let rays: u64 = if long() { 84_000_000 } else { 300_000 };
@@ -215,7 +144,7 @@ impl Kernel for Sheets<'_> {
     }
 }
 
-/// Fails if rays start farther off than they say: at eight times the bound, all pass through the upper sheet.
+/// Seen to fail if rays start farther off than they say, at eight times the bound or at a fixed 10^-4: all pass through the upper sheet.
 #[test]
 fn what_lies_just_before_a_surface_is_met() {
     let rays = if long() { 10_000_000 } else { 100_000 };
