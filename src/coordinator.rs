@@ -1,8 +1,10 @@
 //! `tilecast coordinator`: serves until it is told to stop.
 
+use crate::LogFormat;
 use crate::flags::Usage;
 use crate::report::{Report, Style};
 use crate::stop::on_signal;
+use crate::view::{Lookers, View};
 use anyhow::Context;
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -16,6 +18,10 @@ use tokio::task::spawn_blocking;
 pub struct Coordinator {
     /// HOST:PORT.
     pub listen: String,
+    /// Where the page is served, HOST:PORT.
+    pub http: Option<String>,
+    /// Where a tev listens, HOST:PORT.
+    pub tev: Option<String>,
     /// Where jobs and films are kept.
     pub state: Option<PathBuf>,
     /// The share of units that is done twice.
@@ -24,13 +30,17 @@ pub struct Coordinator {
     pub security: Option<Security>,
     /// How it tells of itself.
     pub style: Style,
+    /// How its log is written.
+    pub log: LogFormat,
 }
 
 /// Serves.
 ///
 /// # Errors
 /// An address that cannot be had.
-pub async fn run(Coordinator { listen, state, verify, security, style }: Coordinator) -> anyhow::Result<()> {
+pub async fn run(
+    Coordinator { listen, http, tev, state, verify, security, style, .. }: Coordinator,
+) -> anyhow::Result<()> {
     let stop = on_signal()?;
     let listener = TcpListener::bind(&listen)
         .await
@@ -43,10 +53,17 @@ pub async fn run(Coordinator { listen, state, verify, security, style }: Coordin
         );
     }
     let address = address.to_string();
+    let view = match &http {
+        Some(http) => Some(View::bind("--http", http, security.is_some(), String::new()).await?),
+        None => None,
+    };
     let coordinator = open(Config { verify, security, ..config(state) }).await?;
-    Report::new(style).listening(&address);
+    let mut report = Report::new(style);
+    report.listening(&address);
+    view.iter().for_each(|view| report.viewing(&view.url));
+    let page = Lookers { view, tev }.show(&coordinator);
     coordinator.serve(tcp_incoming(listener), stop.cancelled()).await?;
-    Ok(())
+    page.end().await
 }
 
 /// How a coordinator is set up that starts now.

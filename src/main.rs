@@ -29,6 +29,7 @@ mod status;
 mod stop;
 mod submit;
 mod verify;
+mod view;
 mod worker;
 
 use clap::Parser;
@@ -63,10 +64,12 @@ fn run() -> anyhow::Result<()> {
 }
 
 async fn perform(task: Task) -> anyhow::Result<()> {
-    start_log(match task {
-        Task::Coordinator(_) | Task::Worker(_) | Task::Launch(_) => "info",
-        _ => "error",
-    });
+    match &task {
+        Task::Coordinator(coordinator) => start_log("info", coordinator.log),
+        Task::Worker(worker) => start_log("info", worker.log),
+        Task::Launch(_) => start_log("info", LogFormat::Text),
+        _ => start_log("error", LogFormat::Text),
+    }
     match task {
         Task::Render(render) => render::run(render).await,
         Task::Replay(replay) => replay::run(replay).await,
@@ -87,12 +90,24 @@ async fn perform(task: Task) -> anyhow::Result<()> {
     }
 }
 
+/// How a log is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// Lines for people.
+    Text,
+    /// One object a line.
+    Json,
+}
+
 /// Logs go to stderr. TILECAST_LOG asks for more or less than a command's usual `level`: `debug`, `tilecast_worker=trace`.
-fn start_log(level: &str) {
+fn start_log(level: &str, format: LogFormat) {
     let filter = tracing_subscriber::EnvFilter::try_from_env("TILECAST_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
-    log.with_ansi(std::io::stderr().is_terminal()).init();
+    match format {
+        LogFormat::Text => log.with_ansi(std::io::stderr().is_terminal()).init(),
+        LogFormat::Json => log.json().flatten_event(true).with_current_span(false).with_span_list(false).init(),
+    }
 }
 
 /// An error as people read it: one paragraph; with the line at fault where it lies in a scene file.

@@ -9,9 +9,10 @@ use crate::picture::{Picture, Ready};
 use crate::report::{Report, Style};
 use crate::seek::Goal;
 use crate::stop::{on_signal, unless_stopped};
+use crate::view::{self, Lookers, Page, View};
 use crate::worker::{cpu, host};
 use anyhow::{Context, anyhow};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
@@ -40,6 +41,10 @@ pub struct Render {
     pub backend: Backend,
     /// Where what is done is kept meanwhile.
     pub state: Option<PathBuf>,
+    /// Where the page is served, HOST:PORT.
+    pub view: Option<String>,
+    /// Where a tev listens, HOST:PORT.
+    pub tev: Option<String>,
     /// Instruction set.
     pub isa: Isa,
     /// How it tells of itself.
@@ -74,14 +79,23 @@ pub async fn run(render: Render) -> anyhow::Result<()> {
     let load = spawn_blocking(move || picture.load());
     let (scene, ready) = unless_stopped(&stop, load).await?.context("loading panicked")??;
     ready.tell(&mut report);
+    let view = match &render.view {
+        Some(address) => Some(View::bind("--view", address, false, title(&render.picture.scene)).await?),
+        None => None,
+    };
+    if let Some(view) = &view {
+        report.viewing(&view.url);
+        view::open(&view.url);
+    }
+    let lookers = Lookers { view, tev: render.tev.clone() };
     let (mut cluster, to_upload) = match render.backend {
         Backend::Here { threads } => {
             let compile = spawn_blocking(move || World::consume(scene));
             let world = unless_stopped(&stop, compile).await?.context("preparing the scene panicked")?;
-            (Cluster::here(world, &ready, threads, &render).await?, None)
+            (Cluster::here(world, &ready, threads, &render, lookers).await?, None)
         }
         Backend::Processes { workers, threads } => {
-            let cluster = Cluster::processes(workers, threads, render.isa, render.state.clone()).await?;
+            let cluster = Cluster::processes(workers, threads, render.isa, render.state.clone(), lookers).await?;
             (cluster, Some(Arc::new(scene)))
         }
     };
@@ -102,6 +116,7 @@ pub struct Cluster {
     pub connector: Connector,
     coordinator: JoinHandle<anyhow::Result<()>>,
     workers: Workers,
+    page: Page,
     shutdown: CancellationToken,
 }
 
@@ -112,10 +127,17 @@ enum Workers {
 
 impl Cluster {
     /// All in this process, joined by memory. The worker has the scene already.
-    async fn here(world: World, ready: &Ready, threads: u32, render: &Render) -> anyhow::Result<Self> {
+    async fn here(
+        world: World,
+        ready: &Ready,
+        threads: u32,
+        render: &Render,
+        lookers: Lookers,
+    ) -> anyhow::Result<Self> {
         let (memory, shutdown) = (Memory::default(), CancellationToken::new());
         let incoming = memory.listen();
         let opened = open(config(render.state.clone())).await?;
+        let page = lookers.show(&opened);
         let closing = shutdown.clone();
         let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
         let scenes = Arc::new(SceneCache::default());
@@ -128,23 +150,30 @@ impl Cluster {
         let worker = tokio::spawn(async move {
             Ok(tilecast_worker::run(to_coordinator, config, scenes, closing.cancelled()).await?)
         });
-        Ok(Self { connector, coordinator, workers: Workers::Here(worker), shutdown })
+        Ok(Self { connector, coordinator, workers: Workers::Here(worker), page, shutdown })
     }
 
     /// The coordinator in this process, workers beside it, gRPC over loopback between them.
     ///
     /// # Errors
     /// No port, no processes, or no state.
-    pub async fn processes(workers: u32, threads: u32, isa: Isa, state: Option<PathBuf>) -> anyhow::Result<Self> {
+    pub async fn processes(
+        workers: u32,
+        threads: u32,
+        isa: Isa,
+        state: Option<PathBuf>,
+        lookers: Lookers,
+    ) -> anyhow::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").await.context("no port on loopback can be had")?;
         let address = listener.local_addr()?.to_string();
         let (shutdown, connector) = (CancellationToken::new(), Connector::tcp(&address)?);
         let opened = open(config(state)).await?;
+        let page = lookers.show(&opened);
         let closing = shutdown.clone();
         let incoming = tcp_incoming(listener);
         let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
         let children = Children::start(workers, &Spec { address, threads, isa })?;
-        Ok(Self { connector, coordinator, workers: Workers::Processes(children), shutdown })
+        Ok(Self { connector, coordinator, workers: Workers::Processes(children), page, shutdown })
     }
 
     async fn render(
@@ -196,7 +225,15 @@ impl Cluster {
             }
         }
         let _ = self.coordinator.await;
+        // The image is there, whether or not someone saw the last of it.
+        let _ = self.page.end().await;
     }
+}
+
+/// The scene as the page calls it: scenes are often named by their folder.
+fn title(scene: &Path) -> String {
+    let parts: Vec<_> = scene.components().map(|part| part.as_os_str().to_string_lossy()).collect();
+    parts[parts.len().saturating_sub(2)..].join("/")
 }
 
 /// Why a part of this process ended that should not have.

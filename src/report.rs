@@ -43,6 +43,9 @@ enum Event<'a> {
     Listening {
         address: &'a str,
     },
+    Viewing {
+        url: &'a str,
+    },
     Note {
         text: &'a str,
     },
@@ -125,6 +128,15 @@ impl Report {
     /// Nothing told yet.
     pub fn new(style: Style) -> Self {
         Self { style, bar: ProgressBar::hidden(), told: (Instant::now(), 0.0), expected: (0, None) }
+    }
+
+    /// The page is served.
+    pub fn viewing(&mut self, url: &str) {
+        match self.style {
+            Style::Json => print(&Event::Viewing { url }),
+            Style::Quiet => {}
+            Style::Bar | Style::Lines => eprintln!("to look on: {url}"),
+        }
     }
 
     /// A coordinator serves.

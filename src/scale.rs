@@ -7,6 +7,7 @@ use crate::picture::{Picture, Ready};
 use crate::render::Cluster;
 use crate::report::{Report, Style};
 use crate::stop::{on_signal, unless_stopped};
+use crate::view::Lookers;
 use anyhow::{Context, bail};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -128,7 +129,7 @@ async fn once(
     if let Some(connector) = &scale.connector {
         return measure(&Client::connect(connector).await?, scene, ready, None).await;
     }
-    let cluster = Cluster::processes(workers, scale.threads, scale.isa, None).await?;
+    let cluster = Cluster::processes(workers, scale.threads, scale.isa, None, Lookers::default()).await?;
     let result = async {
         let client = Client::connect(&cluster.connector).await?;
         unless_stopped(stop, measure(&client, scene, ready, Some(workers))).await?

@@ -1,5 +1,6 @@
 //! `tilecast worker`: traces for a coordinator until it is told to stop.
 
+use crate::LogFormat;
 use crate::stop::on_signal;
 use std::io::Read;
 use std::sync::Arc;
@@ -27,6 +28,8 @@ pub struct Worker {
     pub lifetime: Option<Duration>,
     /// End when standard input does: it is a pipe from the process that started this one.
     pub exit_with_parent: bool,
+    /// How its log is written.
+    pub log: LogFormat,
 }
 
 /// Works.
@@ -34,7 +37,7 @@ pub struct Worker {
 /// # Errors
 /// A refusal by the coordinator.
 pub async fn run(worker: Worker) -> anyhow::Result<()> {
-    let Worker { connector, threads, name, isa, lifetime, exit_with_parent } = worker;
+    let Worker { connector, threads, name, isa, lifetime, exit_with_parent, .. } = worker;
     let stop = on_signal()?;
     if exit_with_parent {
         // A thread of its own: reading standard input cannot be broken off.

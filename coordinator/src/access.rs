@@ -1,4 +1,5 @@
-//! Who may call what. Behind [`Gate`] every call has a [`Caller`]; nothing else looks at certificates or tokens.
+//! Who may call what. Behind [`Gate`] every call has a [`Caller`]; nothing but [`Security::caller`] looks at certificates or
+//! tokens, whether a call comes by gRPC or by HTTP.
 //!
 //! A certificate says its role by a name it is valid for, such as `worker.tilecast`; a token by the list it is in.
 
@@ -66,9 +67,34 @@ impl std::fmt::Debug for Security {
 }
 
 /// A handshake that takes longer is broken off.
-const HANDSHAKE_MAX: std::time::Duration = std::time::Duration::from_secs(10);
+pub(crate) const HANDSHAKE_MAX: std::time::Duration = std::time::Duration::from_secs(10);
+
+/// Someone who is not let in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Denied {
+    #[error("the certificate names no role")]
+    NoRole,
+    #[error("show a certificate or a token: --certs, --token-file")]
+    Nothing,
+    #[error("the token is not known here")]
+    UnknownToken,
+}
 
 impl Security {
+    /// Who shows this certificate, whose chain was verified, or else this `authorization` header.
+    pub(crate) fn caller(&self, certificate: Option<&[u8]>, header: Option<&str>) -> Result<Caller, Denied> {
+        if let Some(certificate) = certificate {
+            let role = role_of(certificate).ok_or(Denied::NoRole)?;
+            return Ok(Caller { role, identity: Some(Digest::of(certificate)) });
+        }
+        let token = header.and_then(|value| value.strip_prefix("Bearer ")).ok_or(Denied::Nothing)?;
+        let shown = blake3::hash(token.as_bytes());
+        // Compared in constant time.
+        let known = self.tokens.iter().find(|(_, digest)| shown == blake3::Hash::from_bytes(digest.0));
+        let (role, digest) = known.ok_or(Denied::UnknownToken)?;
+        Ok(Caller { role: *role, identity: Some(*digest) })
+    }
+
     pub(crate) fn tls(&self) -> ServerTlsConfig {
         ServerTlsConfig::new()
             .identity(Identity::from_pem(&self.certificate, &self.key))
@@ -87,6 +113,21 @@ pub struct Caller {
     pub identity: Option<Digest>,
 }
 
+impl Caller {
+    /// Whoever it is, where nobody has to show anything.
+    pub(crate) const ANYBODY: Self = Self { role: Role::Admin, identity: None };
+
+    /// Whether it may do what is for those of a role. Admins may do everything.
+    pub(crate) fn may(self, role: Role) -> bool {
+        self.role == role || self.role == Role::Admin
+    }
+
+    /// As whom it cancels: someone in particular, or `None` for one who may end any job.
+    pub(crate) fn cancels_as(self) -> Option<Digest> {
+        self.identity.filter(|_| self.role != Role::Admin)
+    }
+}
+
 /// Lets those in that a service is for. Admins are let in everywhere.
 #[derive(Clone, Debug)]
 pub(crate) struct Gate {
@@ -100,27 +141,19 @@ impl Gate {
     }
 
     fn caller(&self, request: &Request<()>) -> Result<Caller, Status> {
-        let Some(security) = &self.security else { return Ok(Caller { role: Role::Admin, identity: None }) };
-        if let Some(certificate) = request.peer_certs().as_deref().and_then(|chain| chain.first()) {
-            let role = role_of(certificate).ok_or_else(|| Status::unauthenticated("the certificate names no role"))?;
-            return Ok(Caller { role, identity: Some(Digest::of(certificate)) });
-        }
+        let Some(security) = &self.security else { return Ok(Caller::ANYBODY) };
+        let chain = request.peer_certs();
+        let certificate = chain.as_deref().and_then(|chain| chain.first());
         let header = request.metadata().get("authorization").and_then(|value| value.to_str().ok());
-        let Some(token) = header.and_then(|value| value.strip_prefix("Bearer ")) else {
-            return Err(Status::unauthenticated("show a certificate or a token: --certs, --token-file"));
-        };
-        let shown = blake3::hash(token.as_bytes());
-        // Compared in constant time.
-        let known = security.tokens.iter().find(|(_, digest)| shown == blake3::Hash::from_bytes(digest.0));
-        let (role, digest) = known.ok_or_else(|| Status::unauthenticated("the token is not known here"))?;
-        Ok(Caller { role: *role, identity: Some(*digest) })
+        let caller = security.caller(certificate.map(|certificate| &**certificate), header);
+        caller.map_err(|denied| Status::unauthenticated(denied.to_string()))
     }
 }
 
 impl Interceptor for Gate {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
         let caller = self.caller(&request)?;
-        if caller.role != self.role && caller.role != Role::Admin {
+        if !caller.may(self.role) {
             let (has, needs) = (caller.role.name(), self.role.name());
             return Err(Status::permission_denied(format!("this is for a {needs}, and you are a {has}")));
         }

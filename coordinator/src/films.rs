@@ -2,6 +2,7 @@
 //! had to go come back when someone asks for them.
 
 mod canvas;
+pub mod look;
 
 use crate::ledger::audit::Contributor;
 use crate::plan::Plan;
@@ -107,6 +108,11 @@ impl Films {
             store.film(id, spec, |piece| film.0.restore(piece))?;
         }
         Ok(film)
+    }
+
+    /// Memory taken by all films.
+    pub fn bytes(&self) -> u64 {
+        self.slots().values().map(|slot| slot.bytes).sum()
     }
 
     /// Gives a film to a job.

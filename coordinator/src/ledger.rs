@@ -21,6 +21,7 @@ mod watch;
 use crate::plan::{Plan, PlanError};
 use audit::Contributor;
 use job::{Job, UnitKey};
+pub use report::{News, OpenUnits, Point, Totals, Trust};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
@@ -112,6 +113,9 @@ pub struct Ledger {
     standings: BTreeMap<Contributor, Standing>,
     /// Ended since [`Ledger::take_ended`].
     ended: Vec<JobId>,
+    /// Happened since [`Ledger::take_news`].
+    news: Vec<News>,
+    totals: Totals,
 }
 
 #[derive(Debug)]
@@ -173,6 +177,8 @@ impl Ledger {
             policy,
             standings: BTreeMap::new(),
             ended: Vec::new(),
+            news: Vec::new(),
+            totals: Totals::default(),
         }
     }
 
@@ -352,9 +358,9 @@ impl Ledger {
     }
 
     /// Notes what the film says of its error.
-    pub fn set_relative_error(&mut self, id: JobId, error: Option<RelativeError>) {
+    pub fn set_relative_error(&mut self, now: Duration, id: JobId, error: Option<RelativeError>) {
         if let Some(job) = self.jobs.get_mut(&id) {
-            job.relative_error = error;
+            job.set_relative_error(now, error);
         }
     }
 

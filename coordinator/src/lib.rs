@@ -7,9 +7,12 @@
 pub mod access;
 pub mod blobs;
 pub mod disk;
+pub mod events;
 pub mod films;
+pub mod http;
 pub mod incoming;
 pub mod ledger;
+mod pace;
 pub mod plan;
 pub mod scaling;
 mod service;
@@ -17,6 +20,7 @@ mod service;
 mod sim;
 pub mod store;
 pub mod target;
+pub mod tev;
 
 use access::{Gate, Role, Security};
 use disk::Disk;
@@ -110,6 +114,16 @@ impl Coordinator {
         Ok(Self { shared: Arc::new(Shared::open(config)?), security: config.security.clone().map(Arc::new) })
     }
 
+    /// What HTTP serves of it, to be served beside [`Coordinator::serve`], and called `title` there.
+    pub fn site(&self, title: String) -> http::Site {
+        http::Site::new(Arc::clone(&self.shared), self.security.clone(), title)
+    }
+
+    /// Sends its images to a viewer at `address`, HOST:PORT, beside [`Coordinator::serve`].
+    pub fn tev(&self, address: String) -> tev::Tev {
+        tev::Tev::new(Arc::clone(&self.shared), address)
+    }
+
     /// Serves until `shutdown` ends. Connections come from a TCP listener ([`transport::tcp_incoming`]) or from memory
     /// ([`transport::Memory::listen`]); both see the same service.
     ///
@@ -156,6 +170,8 @@ impl Coordinator {
             () = is_broken => {}
             () = shutdown => {}
         }
+        health.set_not_serving::<WorkServer<Work>>().await;
+        health.set_not_serving::<JobsServer<Jobs>>().await;
         closing.cancel();
         // A peer that does not read must not keep the process.
         let _ = tokio::time::timeout(SHUTDOWN_GRACE, serving).await;

@@ -6,24 +6,26 @@ mod work;
 
 use crate::Config;
 use crate::blobs::Blobs;
+use crate::events::{About, Events, Kind};
 use crate::films::Films;
-use crate::ledger::{Ledger, LedgerError, Policy};
+use crate::ledger::{Ledger, LedgerError, News, Policy};
 use crate::store::{Broken, KeptJob, Store, StoreError};
 use bytes::Bytes;
 use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tilecast_core::film::sums;
 use tilecast_core::scene::Digest;
 use tilecast_proto::limits::STREAM_IDLE_MS_MAX;
-use tilecast_proto::types::{JobId, JobState, ResultHeader, Verdict, WorkerId};
+use tilecast_proto::types::{JobId, JobState, ResultHeader, Verdict, WorkerId, WorkerInfo};
 use tokio::sync::Notify;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::{Status, Streaming};
 
-pub(crate) use jobs::Jobs;
+pub(crate) use jobs::{Jobs, bring_back};
 #[cfg(test)]
 pub(crate) use jobs::{submit, whole_film};
 pub(crate) use work::Work;
@@ -44,9 +46,26 @@ pub(crate) struct Shared {
     /// There may be work to lend.
     work: Notify,
     /// Some job has changed.
-    changed: Notify,
+    pub(crate) changed: Notify,
     /// The coordinator stops: nobody waits any more.
     pub(crate) closing: CancellationToken,
+    pub(crate) events: Events,
+    pub(crate) traffic: Traffic,
+    /// Tells this coordinator from the one before it at the same address.
+    pub(crate) instance: u64,
+}
+
+/// What went over the wire, for whoever keeps count.
+#[derive(Debug, Default)]
+pub(crate) struct Traffic {
+    /// Bytes of results.
+    pub results: AtomicU64,
+    /// Results that were there already.
+    pub duplicates: AtomicU64,
+    /// Bytes of scenes that clients brought.
+    pub scenes_in: AtomicU64,
+    /// Bytes of scenes that workers fetched.
+    pub scenes_out: AtomicU64,
 }
 
 impl Shared {
@@ -69,6 +88,9 @@ impl Shared {
             work: Notify::new(),
             changed: Notify::new(),
             closing: CancellationToken::new(),
+            events: Events::default(),
+            traffic: Traffic::default(),
+            instance: RandomState::new().hash_one(config.epoch),
         };
         if let Some(found) = recovered {
             for (digest, bytes) in found.blobs {
@@ -117,7 +139,7 @@ impl Shared {
         let error = self.films.relative_error(id);
         self.with_ledger(|ledger, now| {
             ledger.restore_job(job, self.films.samples(id)).map_err(|e| unfit(e.to_string()))?;
-            ledger.set_relative_error(id, error);
+            ledger.set_relative_error(now, id, error);
             match pinned {
                 Err(status) => {
                     let why = format!("the coordinator was started again, and {}; submit it again", status.message());
@@ -138,7 +160,7 @@ impl Shared {
             }
             Ok(())
         })?;
-        tracing::info!(job = id.0, "job goes on");
+        self.tell(Kind::JobRestored, id, format!("job {id} goes on where it was"));
         Ok(())
     }
 
@@ -189,7 +211,10 @@ impl Shared {
         let (outcome, who) =
             self.with_ledger(|ledger, now| (ledger.accept(now, header, digest), ledger.contributor(header.worker)));
         for &liar in &outcome.convicted {
-            tracing::error!(instance = liar, "a worker's sums are not those of others; its units are done again");
+            let text = format!(
+                "the sums of the worker with instance {liar} are not those of others; its units are done again"
+            );
+            self.tell(Kind::Convicted, About::default(), text);
         }
         for &job in &outcome.recall {
             let units: Vec<_> = outcome.convicted.iter().flat_map(|&liar| self.films.take_out(job, liar)).collect();
@@ -199,7 +224,7 @@ impl Shared {
             if self.films.merge(job, &sums, who, bytes) {
                 if outcome.round_done {
                     let error = self.films.relative_error(job);
-                    self.with_ledger(|ledger, _| ledger.set_relative_error(job, error));
+                    self.with_ledger(|ledger, now| ledger.set_relative_error(now, job, error));
                 }
                 self.with_ledger(|ledger, now| {
                     ledger.merge_took(job, begun.elapsed());
@@ -220,23 +245,24 @@ impl Shared {
 
     /// A worker brought what makes no sense.
     fn offence(&self, worker: WorkerId, what: &str) {
-        tracing::warn!(worker = worker.0, what, "a result makes no sense");
+        self.tell(Kind::Nonsense, worker, format!("a result of worker {} makes no sense: {what}", number(worker)));
         if self.with_ledger(|ledger, _| ledger.offence(worker, what)) {
-            tracing::error!(worker = worker.0, "the worker is shut out");
+            self.tell(Kind::ShutOut, worker, format!("worker {} is shut out", number(worker)));
             self.work.notify_waiters();
         }
     }
 
     /// Does something with the ledger, and lets go of what was kept for jobs that have ended by it.
     pub(crate) fn with_ledger<T>(&self, act: impl FnOnce(&mut Ledger, Duration) -> T) -> T {
-        let now = self.epoch + self.started.elapsed();
-        let (result, ended, forgotten) = {
+        let now = self.now();
+        let (result, news, ended, forgotten) = {
             let mut ledger = lock(&self.ledger);
             let result = act(&mut ledger, now);
             let ended = ledger.take_ended();
             let forgotten = if ended.is_empty() { Vec::new() } else { ledger.forget_old_jobs() };
-            (result, ended, forgotten)
+            (result, ledger.take_news(), ended, forgotten)
         };
+        news.into_iter().for_each(|news| self.hear(news));
         for (job, state, at) in ended {
             self.end(job, &state, at);
         }
@@ -249,7 +275,48 @@ impl Shared {
         result
     }
 
+    /// The time, as the ledger has it.
+    pub(crate) fn now(&self) -> Duration {
+        self.epoch + self.started.elapsed()
+    }
+
+    /// Something happened.
+    pub(crate) fn tell(&self, kind: Kind, about: impl Into<About>, text: String) {
+        self.events.tell(self.now(), kind, about, text);
+    }
+
+    fn hear(&self, news: News) {
+        match news {
+            News::Silent { worker, info } => {
+                self.tell(
+                    Kind::WorkerSilent,
+                    worker,
+                    format!("worker {} is not heard any more", called(worker, &info)),
+                );
+            }
+            News::Lapsed { worker, leases } => {
+                let text = format!("{leases} units of worker {} are given to others", number(worker));
+                self.tell(Kind::LeasesLapsed, worker, text);
+            }
+            News::SetAside { job, why } => {
+                self.tell(Kind::UnitSetAside, job, format!("a unit of job {job} is set aside: {why}"));
+            }
+        }
+    }
+
+    /// Ends a job; `who` asks, see [`Ledger::cancel`].
+    pub(crate) fn cancel(&self, job: JobId, who: Option<Digest>) -> Result<(), LedgerError> {
+        self.with_ledger(|ledger, now| ledger.cancel(now, job, who))?;
+        self.work.notify_waiters();
+        Ok(())
+    }
+
     fn end(&self, job: JobId, state: &JobState, at: Duration) {
+        match state {
+            JobState::Finished => self.tell(Kind::JobFinished, job, format!("job {job} is finished")),
+            JobState::Failed(why) => self.tell(Kind::JobFailed, job, format!("job {job} failed: {why}")),
+            _ => self.tell(Kind::JobCancelled, job, format!("job {job} was cancelled")),
+        }
         self.films.end(job);
         let pinned = lock(&self.pinned).remove(&job).unwrap_or_default();
         self.blobs().unpin(&pinned);
@@ -259,9 +326,20 @@ impl Shared {
         self.changed.notify_waiters();
     }
 
-    fn blobs(&self) -> MutexGuard<'_, Blobs> {
+    pub(crate) fn blobs(&self) -> MutexGuard<'_, Blobs> {
         lock(&self.blobs)
     }
+}
+
+/// How people know a worker.
+pub(crate) fn called(worker: WorkerId, info: &WorkerInfo) -> String {
+    let name = if info.name.is_empty() { String::new() } else { format!(" {}", info.name) };
+    format!("{}{name} on {} ({} threads)", number(worker), info.host, info.threads)
+}
+
+/// The number that people see: what is before it is the coordinator's incarnation.
+pub(crate) fn number(worker: WorkerId) -> u32 {
+    (worker.0 & 0xffff_ffff) as u32
 }
 
 /// The next message of a stream of bulk; one on which nothing comes is broken off.

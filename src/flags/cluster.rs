@@ -3,6 +3,7 @@
 use super::rendering::{GoalFlags, OutputFlags, PictureFlags};
 use super::security::{ConnectFlags, GuardFlags};
 use super::{IsaFlags, StyleFlags, cores, values};
+use crate::LogFormat;
 use crate::cancel::Cancel;
 use crate::certs::Certs;
 use crate::coordinator::Coordinator;
@@ -35,6 +36,13 @@ pub struct CoordinatorFlags {
     /// Address and port to serve on; port 0 takes a free one
     #[arg(long, value_name = "ADDR")]
     listen: String,
+    /// Serves a page to look on with, metrics and health on this address; beyond loopback with --certs, to who has a token of
+    /// --token-file
+    #[arg(long, value_name = "ADDR")]
+    http: Option<String>,
+    /// Sends images as they converge to the viewer tev there [default port: 14158]
+    #[arg(long, value_name = "HOST:PORT", value_parser = values::tev)]
+    tev: Option<String>,
     /// Keeps jobs and images in the making in this folder: whatever ends the coordinator, the next one goes on
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
@@ -44,7 +52,16 @@ pub struct CoordinatorFlags {
     #[command(flatten)]
     guard: GuardFlags,
     #[command(flatten)]
+    log: LogFlags,
+    #[command(flatten)]
     style: StyleFlags,
+}
+
+#[derive(Args)]
+pub struct LogFlags {
+    /// How the log on stderr is written: json has one object a line, for programs
+    #[arg(long, value_name = "FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    log_format: LogFormat,
 }
 
 #[derive(Args)]
@@ -62,6 +79,8 @@ pub struct WorkerFlags {
     /// Ends after so long, such as 90s, 30m or 4h: give a scheduler's walltime
     #[arg(long, value_name = "TIME", value_parser = values::time)]
     lifetime: Option<Duration>,
+    #[command(flatten)]
+    log: LogFlags,
     /// Ends when standard input does
     #[arg(long, hide = true)]
     exit_with_parent: bool,
@@ -116,9 +135,9 @@ pub enum CertsCommand {
 
 impl CoordinatorFlags {
     pub fn ready(self) -> anyhow::Result<Coordinator> {
-        let Self { listen, state, verify, guard, style } = self;
+        let Self { listen, http, tev, state, verify, guard, log, style } = self;
         let (verify, security) = (verify.unwrap_or(0.0), guard.ready()?);
-        Ok(Coordinator { listen, state, verify, security, style: style.ready() })
+        Ok(Coordinator { listen, http, tev, state, verify, security, style: style.ready(), log: log.log_format })
     }
 }
 
@@ -131,6 +150,7 @@ impl WorkerFlags {
             isa: self.isa.ready()?,
             lifetime: self.lifetime,
             exit_with_parent: self.exit_with_parent,
+            log: self.log.log_format,
         })
     }
 }

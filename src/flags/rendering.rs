@@ -25,6 +25,7 @@ Examples:
   tilecast render scene.xml --strategy cosine --spp 16   where directions come from
   tilecast render model.obj --size 640x480               a bare model, under an even sky
   tilecast render scene.xml --crop 100,100,164,164       a part: the same bits as in the whole
+  tilecast render scene.xml --view                       a page that shows it converge
   tilecast render scene.xml --workers 4                  four worker processes: the same bits
   tilecast render scene.xml --pixel 12,34 --sample 5     the path of one sample, vertex by vertex";
 
@@ -186,6 +187,12 @@ pub struct RenderFlags {
     /// goes on with it [costs writes of some 110 bytes a pixel and unit of work]
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
+    /// Serves a page that shows the image as it converges, on this machine alone [default: a free port of 127.0.0.1]
+    #[arg(long, value_name = "ADDR", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:0")]
+    view: Option<String>,
+    /// Sends the image as it converges to the viewer tev there [default port: 14158]
+    #[arg(long, value_name = "HOST:PORT", value_parser = values::tev)]
+    tev: Option<String>,
     #[command(flatten)]
     isa: IsaFlags,
     /// Traces one sample of this pixel again and prints its path; writes no image
@@ -211,6 +218,7 @@ impl RenderFlags {
         let (tile, style) = (self.output.tile, self.output.style.ready());
         let output = self.output.ready(&self.picture.scene, self.picture.resume.as_deref())?;
         let (picture, goal, isa) = (self.picture.ready(), self.goal.ready(), self.isa.ready()?);
-        Ok(Task::Render(Render { picture, goal, output, tile, backend, state: self.state, isa, style }))
+        let (state, view, tev) = (self.state, self.view, self.tev);
+        Ok(Task::Render(Render { picture, goal, output, tile, backend, state, view, tev, isa, style }))
     }
 }

@@ -209,3 +209,12 @@ pub fn time(text: &str) -> Result<Duration, String> {
     let product = seconds.and_then(|seconds: u64| number.parse::<u64>().ok()?.checked_mul(seconds));
     product.filter(|&s| s > 0).map(Duration::from_secs).ok_or("write a time as in 90s, 30m, 4h or 2d".into())
 }
+
+/// Where the viewer tev listens.
+pub fn tev(text: &str) -> Result<String, String> {
+    match text.rsplit_once(':') {
+        Some((host, port)) if !host.is_empty() && port.parse::<u16>().is_ok() => Ok(text.to_owned()),
+        None if !text.is_empty() => Ok(format!("{text}:{}", tilecast_coordinator::tev::PORT)),
+        _ => Err("write HOST or HOST:PORT".into()),
+    }
+}

@@ -4,12 +4,12 @@ use crate::harness::{Folder, SMALL, scene};
 use exr::prelude::{AttributeValue, FlatImage, FlatSamples, Text, Vec2};
 use std::path::Path;
 
-fn read(path: &Path) -> FlatImage {
+pub fn read(path: &Path) -> FlatImage {
     exr::prelude::read_all_flat_layers_from_file(path).expect("an OpenEXR file")
 }
 
 /// The bits of a channel, row by row.
-fn channel(image: &FlatImage, name: &str) -> Vec<u32> {
+pub fn channel(image: &FlatImage, name: &str) -> Vec<u32> {
     let channels = &image.layer_data[0].channel_data.list;
     let found = channels.iter().find(|channel| channel.name == *name).unwrap_or_else(|| panic!("no channel {name}"));
     match &found.sample_data {

@@ -40,3 +40,8 @@ mod pages;
 /// Images gone on with, joined and interrupted.
 #[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
 mod references;
+/// The viewer that tiles are sent to.
+mod tev;
+/// The live page, and what monitors ask.
+#[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
+mod view;

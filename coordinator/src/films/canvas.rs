@@ -9,7 +9,7 @@ use std::ops::Range;
 use tilecast_core::film::file::Part;
 use tilecast_core::film::ranges::Ranges;
 use tilecast_core::film::{Film, PixelSums, TileSums, sums};
-use tilecast_core::settings::Settings;
+use tilecast_core::settings::{Settings, Window};
 
 /// Whoever brought what is not kept apart.
 pub const ANYBODY: Contributor = 0;
@@ -26,6 +26,10 @@ pub struct Canvas {
     apart_bytes: u64,
     /// Their units are not merged any more.
     banned: BTreeSet<Contributor>,
+    /// Grows with every change.
+    version: u64,
+    /// By tile: the version that changed it last, and 0 before any did.
+    changed: Vec<u64>,
 }
 
 #[derive(Debug, Default)]
@@ -39,7 +43,8 @@ impl Canvas {
     /// Nothing yet. With `apart_bytes_max` 0, contributors are not kept apart.
     pub fn new(settings: &Settings, plan: Plan, apart_bytes_max: u64) -> Self {
         let film = Film::new(settings);
-        Self { film, plan, accounts: BTreeMap::new(), apart_bytes_max, apart_bytes: 0, banned: BTreeSet::new() }
+        let (accounts, banned, changed) = (BTreeMap::new(), BTreeSet::new(), vec![0; plan.order.len()]);
+        Self { film, plan, accounts, apart_bytes_max, apart_bytes: 0, banned, version: 0, changed }
     }
 
     /// The sums of all.
@@ -52,6 +57,29 @@ impl Canvas {
         self.plan.order.len() as u32
     }
 
+    /// The pixels of tile `index`.
+    pub fn tile(&self, index: u32) -> Window {
+        self.plan.tile(index)
+    }
+
+    /// How often it has changed.
+    pub fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// The tiles that changed after version `since`, each with the version that did, in that order.
+    pub fn changed_since(&self, since: u64) -> Vec<(u64, u32)> {
+        let later = self.changed.iter().zip(0..).filter(|&(&version, _)| version > since);
+        let mut tiles: Vec<(u64, u32)> = later.map(|(&version, tile)| (version, tile)).collect();
+        tiles.sort_unstable();
+        tiles
+    }
+
+    fn touch(&mut self, tile: u32) {
+        self.version += 1;
+        self.changed[tile as usize] = self.version;
+    }
+
     /// Adds a unit that is not in it; `false` if its contributor was banned meanwhile, and nothing was added.
     pub fn merge(&mut self, unit: &TileSums, who: Contributor) -> bool {
         if self.banned.contains(&who) {
@@ -59,6 +87,7 @@ impl Canvas {
         }
         let Some(tile) = self.plan.index_of(&unit.tile) else { return false };
         self.film.merge(unit);
+        self.touch(tile);
         let who = self.kept_apart(tile, who, unit.pixels.len());
         let account = self.accounts.entry((tile, who)).or_default();
         account.samples.insert(unit.samples.clone());
@@ -86,6 +115,7 @@ impl Canvas {
                 self.apart_bytes -= size_of_val(pixels.as_slice()) as u64;
             }
             self.film.remove(window, samples.as_slice(), &pixels);
+            self.touch(tile);
             gone.extend(samples.as_slice().iter().map(|range| (tile, range.clone())));
         }
         gone
@@ -122,6 +152,7 @@ impl Canvas {
                     return;
                 }
                 self.film.add(tile, samples.as_slice(), &pixels);
+                self.touch(index);
                 let who = self.kept_apart(index, contributor, pixels.len());
                 let account = self.accounts.entry((index, who)).or_default();
                 samples.as_slice().iter().for_each(|range| account.samples.insert(range.clone()));
@@ -220,6 +251,19 @@ mod tests {
         assert_eq!(with.film(), without.film());
         assert_eq!(with.samples(), without.samples());
         assert!(!with.merge(&unit(0, 0..4, 5), 7), "it is banned");
+    }
+
+    /// Whoever looks again gets what changed since, once each, and all of it however often it asks in between.
+    #[test]
+    fn tiles_that_change_are_told_once_in_order() {
+        let mut canvas = canvas(0);
+        assert!(canvas.changed_since(0).is_empty());
+        canvas.merge(&unit(0, 0..4, 5), 7);
+        canvas.merge(&unit(1, 0..4, 5), 7);
+        canvas.merge(&unit(0, 4..8, 5), 7);
+        assert_eq!(canvas.changed_since(0), [(2, 1), (3, 0)]);
+        assert_eq!(canvas.changed_since(2), [(3, 0)]);
+        assert!(canvas.changed_since(canvas.version()).is_empty());
     }
 
     /// There is memory for one account only: what else there is of a tile goes with it.

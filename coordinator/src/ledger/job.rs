@@ -5,6 +5,7 @@
 //! there were.
 
 use super::audit::Audits;
+use super::report::Point;
 use crate::plan::Plan;
 use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::ops::Range;
@@ -17,6 +18,8 @@ use tilecast_proto::types::{
     Contribution, Fence, JobSpec, JobState, ResultHeader, Unit, Verdict, WorkerId, WorkerInfo,
 };
 
+/// Points of an error's way that are kept: rounds double, so that there are some thirty.
+const HISTORY_LEN_MAX: usize = 64;
 /// Times of so many units say what is usual.
 const TIMES_KEPT: usize = 64;
 
@@ -98,6 +101,8 @@ pub(super) struct Job {
     /// Workers that cannot prepare its scene.
     pub barred: HashSet<WorkerId>,
     pub relative_error: Option<RelativeError>,
+    /// How the error came down.
+    pub history: Vec<Point>,
     pub queued_at: Duration,
     pub started_at: Option<Duration>,
     pub ended_at: Option<Duration>,
@@ -129,6 +134,7 @@ impl Job {
             times: VecDeque::new(),
             barred: HashSet::new(),
             relative_error: None,
+            history: Vec::new(),
             queued_at: now,
             started_at: None,
             ended_at: None,
@@ -321,6 +327,18 @@ impl Job {
             contribution.samples += header.unit.len();
             contribution.trace += header.trace;
             contribution.last = now.saturating_sub(self.queued_at);
+        }
+    }
+
+    /// Notes what the film says of its error now.
+    pub fn set_relative_error(&mut self, now: Duration, error: Option<RelativeError>) {
+        self.relative_error = error;
+        if let Some(error) = error {
+            if self.history.len() == HISTORY_LEN_MAX {
+                self.history.remove(1);
+            }
+            let running = now.saturating_sub(self.started_at.unwrap_or(now));
+            self.history.push(Point { running, samples: self.samples_done, error });
         }
     }
 

@@ -1,10 +1,143 @@
 //! What the ledger tells people: jobs and workers as they stand. Nothing changes here.
 
+use super::audit::NEWCOMER_UNITS;
 use super::{Ledger, LedgerError, Worker};
 use std::time::Duration;
-use tilecast_proto::types::{Contribution, JobId, Progress, WorkerId, WorkerStatus};
+use tilecast_core::film::RelativeError;
+use tilecast_proto::types::{Contribution, JobId, Progress, WorkerId, WorkerInfo, WorkerStatus};
+
+/// Something that nobody asked for, and people may want to know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum News {
+    /// A worker was not heard any more and is forgotten.
+    Silent {
+        /// Its number.
+        worker: WorkerId,
+        /// What it said of itself.
+        info: WorkerInfo,
+    },
+    /// Leases lapsed: their units are lent again.
+    Lapsed {
+        /// Whose.
+        worker: WorkerId,
+        /// How many.
+        leases: usize,
+    },
+    /// A unit is not given to anyone any more.
+    SetAside {
+        /// Of this job.
+        job: JobId,
+        /// For this reason.
+        why: String,
+    },
+}
+
+/// What has happened since the ledger was made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Totals {
+    /// Samples counted.
+    pub samples: u64,
+    /// Units counted.
+    pub units: u64,
+    /// Leases that lapsed.
+    pub leases_lost: u64,
+    /// Spent checking and adding up results.
+    pub merging: Duration,
+}
+
+/// Units of all jobs that go on, by what they wait for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OpenUnits {
+    /// Someone works on them.
+    pub lent: u64,
+    /// They came back, and wait for someone.
+    pub returned: u64,
+    /// Nobody gets them any more.
+    pub set_aside: u64,
+}
+
+/// The error of an image at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Since the job's first lease.
+    pub running: Duration,
+    /// Counted then, over all pixels.
+    pub samples: u64,
+    /// Estimated then.
+    pub error: RelativeError,
+}
+
+/// How far a worker is trusted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trust {
+    /// Results are not compared.
+    Unchecked,
+    /// All it brings is done again by another.
+    Newcomer,
+    /// Some of what it brings is.
+    Proven,
+}
 
 impl Ledger {
+    /// What has happened since this was called last.
+    pub fn take_news(&mut self) -> Vec<News> {
+        std::mem::take(&mut self.news)
+    }
+
+    /// See [`Totals`].
+    pub fn totals(&self) -> Totals {
+        self.totals
+    }
+
+    /// See [`OpenUnits`].
+    pub fn open_units(&self) -> OpenUnits {
+        let mut units = OpenUnits::default();
+        for job in self.jobs.values() {
+            let (lent, aside) =
+                (job.open.values().filter(|open| !open.leases.is_empty()).count(), job.quarantined.len());
+            units.lent += lent as u64;
+            units.set_aside += aside as u64;
+            units.returned += (job.open.len() - lent).saturating_sub(aside) as u64;
+        }
+        units
+    }
+
+    /// Whether a job has not ended.
+    pub fn goes_on(&self, id: JobId) -> bool {
+        self.jobs.get(&id).is_some_and(|job| !job.state.is_final())
+    }
+
+    /// When a job was submitted.
+    pub fn queued_at(&self, id: JobId) -> Option<Duration> {
+        self.jobs.get(&id).map(|job| job.queued_at)
+    }
+
+    /// Samples a second that those who work on a job are good for, as last measured.
+    pub fn speed(&self, id: JobId) -> f64 {
+        let Some(job) = self.jobs.get(&id).filter(|job| !job.state.is_final()) else { return 0.0 };
+        let holders = self.workers.iter().filter(|(_, worker)| worker.leases.values().any(|held| held.job == id));
+        holders.filter_map(|(&id, worker)| Some(job.rate(id)? * f64::from(worker.info.threads))).sum()
+    }
+
+    /// How the error of a job came down, round by round, since this ledger was made.
+    ///
+    /// # Errors
+    /// An unknown job.
+    pub fn history(&self, id: JobId) -> Result<Vec<Point>, LedgerError> {
+        self.jobs.get(&id).map(|job| job.history.clone()).ok_or(LedgerError::UnknownJob(id))
+    }
+
+    /// How far a worker is trusted, and how many results it brought that make no sense.
+    pub fn trust(&self, info: &WorkerInfo) -> (Trust, u32) {
+        let standing = self.standings.get(&info.instance);
+        let trust = match standing {
+            _ if self.policy.verify <= 0.0 => Trust::Unchecked,
+            Some(standing) if standing.units > NEWCOMER_UNITS => Trust::Proven,
+            _ => Trust::Newcomer,
+        };
+        (trust, standing.map_or(0, |standing| standing.offences))
+    }
+
     /// Where a job stands.
     ///
     /// # Errors
@@ -41,6 +174,11 @@ impl Ledger {
     /// All jobs it remembers, oldest first.
     pub fn jobs(&self) -> Vec<JobId> {
         self.jobs.keys().copied().collect()
+    }
+
+    /// What a worker said of itself.
+    pub fn worker(&self, id: WorkerId) -> Option<&WorkerInfo> {
+        self.workers.get(&id).map(|worker| &worker.info)
     }
 
     /// The workers that are there.

@@ -3,7 +3,7 @@
 use super::audit::{Contributor, Finding, NEWCOMER_UNITS};
 use super::job::UnitKey;
 use super::{
-    Failure, Fence, JobId, JobState, Ledger, LedgerError, OFFENCES_MAX, Outcome, RATE_BLEND, ResultHeader,
+    Failure, Fence, JobId, JobState, Ledger, LedgerError, News, OFFENCES_MAX, Outcome, RATE_BLEND, ResultHeader,
     UNIT_PANICS_MAX, Verdict, WorkerId,
 };
 use std::ops::Range;
@@ -59,6 +59,8 @@ impl Ledger {
         let rounds = job.rounds_done();
         let open = job.count(now, unit);
         job.brought(now, header);
+        self.totals.units += 1;
+        self.totals.samples += unit.len();
         let rate = unit.len() as f64 / header.trace.as_secs_f64().max(1e-6);
         if let Some(worker) = self.workers.get_mut(&header.worker) {
             worker.units_done += 1;
@@ -141,6 +143,7 @@ impl Ledger {
 
     /// Notes what checking and adding up a result has taken.
     pub fn merge_took(&mut self, id: JobId, time: Duration) {
+        self.totals.merging += time;
         if let Some(job) = self.jobs.get_mut(&id) {
             job.merge_time += time;
         }
@@ -233,6 +236,7 @@ impl Ledger {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let text = format!("{why}; replay it with: {}", job.replay(unit));
         job.returned.retain(|other| *other != unit);
+        self.news.push(News::SetAside { job: id, why: text.clone() });
         job.quarantined.insert(unit, text);
         self.end_if_complete(now, id);
     }

@@ -1,7 +1,7 @@
 //! Who is still there: heartbeats, departures, silence, and units that others wait for.
 
 use super::{
-    DECISION_PATIENCE, Fence, Heartbeat, HeartbeatReply, Held, JobId, LEASE_SILENCE, Ledger, LedgerError,
+    DECISION_PATIENCE, Fence, Heartbeat, HeartbeatReply, Held, JobId, LEASE_SILENCE, Ledger, LedgerError, News,
     OVERDUE_FACTOR, UNIT_LOSSES_MAX, WorkerId,
 };
 use std::collections::HashSet;
@@ -51,11 +51,16 @@ impl Ledger {
         for id in self.workers.keys().copied().collect::<Vec<_>>() {
             let lost = self.take_back(id, |_, held| held.deadline <= now);
             any |= !lost.is_empty();
+            if !lost.is_empty() {
+                self.totals.leases_lost += lost.len() as u64;
+                self.news.push(News::Lapsed { worker: id, leases: lost.len() });
+            }
             // A lease that lapses while its worker is heard was never received: nobody died of it.
             if self.workers.get(&id).is_some_and(|worker| worker.heard_at + SILENCE_OF_THE_DEAD <= now) {
                 self.blame(now, &lost);
             }
-            if self.workers.get(&id).is_some_and(|worker| worker.heard_at + LEASE_SILENCE <= now) {
+            if let Some(worker) = self.workers.get(&id).filter(|worker| worker.heard_at + LEASE_SILENCE <= now) {
+                self.news.push(News::Silent { worker: id, info: worker.info.clone() });
                 self.leave(id, &[]);
                 any = true;
             }

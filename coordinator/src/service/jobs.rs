@@ -1,13 +1,15 @@
 //! The service that clients call.
 
 use super::{Shared, lock, next, panicked};
-use crate::access::{Role, caller};
+use crate::access::caller;
+use crate::events::Kind;
 use crate::ledger::RestoredJob;
 use crate::plan::Plan;
 use crate::store::StoreError;
 use bytes::Bytes;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 use tilecast_core::scene::{Digest, Scene};
 use tilecast_proto::convert::{self, WireError, digest_bytes};
@@ -64,6 +66,7 @@ impl jobs_server::Jobs for Jobs {
             let kept = tokio::task::spawn_blocking(move || store.put_blob(&digest, &kept));
             kept.await.map_err(panicked)?.map_err(not_kept)?;
         }
+        self.0.traffic.scenes_in.fetch_add(bytes.len() as u64, Relaxed);
         self.0.blobs().insert(digest, bytes);
         drop(room);
         Ok(Response::new(wire::PutBlobReply {}))
@@ -75,7 +78,6 @@ impl jobs_server::Jobs for Jobs {
         let shared = Arc::clone(&self.0);
         let submitted = tokio::task::spawn_blocking(move || submit(&shared, spec, owner));
         let job = submitted.await.map_err(panicked)??;
-        tracing::info!(job = job.0, "job queued");
         Ok(Response::new(job.into()))
     }
 
@@ -98,11 +100,9 @@ impl jobs_server::Jobs for Jobs {
     }
 
     async fn cancel_job(&self, request: Request<wire::JobId>) -> Result<Response<wire::Progress>, Status> {
-        let caller = caller(&request);
-        let who = caller.identity.filter(|_| caller.role != Role::Admin);
+        let who = caller(&request).cancels_as();
         let job = JobId::from(request.into_inner());
-        self.0.with_ledger(|ledger, now| ledger.cancel(now, job, who))?;
-        self.0.work.notify_waiters();
+        self.0.cancel(job, who)?;
         Ok(Response::new(progress(&self.0, job)?.into()))
     }
 
@@ -190,6 +190,7 @@ pub(crate) fn submit(shared: &Shared, spec: JobSpec, owner: Option<Digest>) -> R
     let lacks =
         |blob| Status::failed_precondition(format!("the coordinator lacks blob {blob} of the scene; upload it first"));
     shared.blobs().pin(&blobs).map_err(lacks)?;
+    let about = described(&spec);
     let job = shared.with_ledger(|ledger, now| {
         let id = ledger.add_job(now, spec.clone(), owner)?;
         // Before anyone can lend a unit of it; and on the disk before it is promised.
@@ -204,11 +205,20 @@ pub(crate) fn submit(shared: &Shared, spec: JobSpec, owner: Option<Digest>) -> R
         lock(&shared.pinned).insert(id, blobs.clone());
         Ok::<JobId, Status>(id)
     });
-    if job.is_err() {
-        shared.blobs().unpin(&blobs);
+    match job {
+        Ok(id) => shared.tell(Kind::JobQueued, id, format!("job {id} is queued: {about}")),
+        Err(_) => shared.blobs().unpin(&blobs),
     }
     shared.work.notify_waiters();
+    shared.changed.notify_waiters();
     job
+}
+
+/// A job in a few words.
+fn described(spec: &JobSpec) -> String {
+    let crop = spec.settings.film.crop;
+    let name = if spec.name.is_empty() { "no name" } else { &spec.name };
+    format!("{name}, {}x{} pixels, {} samples each", crop.width(), crop.height(), spec.settings.spp)
 }
 
 /// The manifest of a scene and all parts it names.
@@ -279,7 +289,7 @@ fn send_film(shared: &Shared, job: JobId, ended: bool, sender: &mpsc::Sender<Res
 }
 
 /// Reads the film of an ended job from the store again, if it is not in memory.
-fn bring_back(shared: &Shared, job: JobId) -> Result<(), Status> {
+pub(crate) fn bring_back(shared: &Shared, job: JobId) -> Result<(), Status> {
     if shared.store.is_none() || shared.films.has(job) {
         return Ok(());
     }

@@ -1,8 +1,10 @@
 //! The service that workers call.
 
-use super::{Shared, lock, next, panicked};
+use super::{Shared, called, lock, next, number, panicked};
+use crate::events::{About, Kind};
 use bytes::{Bytes, BytesMut};
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 use tilecast_proto::client::chunks;
 use tilecast_proto::convert::{self, WireError};
@@ -32,8 +34,10 @@ impl work_server::Work for Work {
 
     async fn register(&self, request: Request<Hello>) -> Result<Response<Welcome>, Status> {
         let info = WorkerInfo::try_from(request.into_inner())?;
-        tracing::info!(host = info.host, pid = info.pid, threads = info.threads, isa = info.isa, "worker registers");
-        let worker = self.0.with_ledger(|ledger, now| ledger.register(now, info))?;
+        let worker = self.0.with_ledger(|ledger, now| ledger.register(now, info.clone()))?;
+        let text = format!("worker {} has come, process {}, {}", called(worker, &info), info.pid, info.isa);
+        self.0.tell(Kind::WorkerCame, worker, text);
+        self.0.changed.notify_waiters();
         Ok(Response::new(Welcome { worker: worker.0, heartbeat_ms: HEARTBEAT_MS as u32 }))
     }
 
@@ -70,6 +74,9 @@ impl work_server::Work for Work {
             self.0.offence(worker, "a unit that its job does not have");
             return Err(Status::invalid_argument("the job has no such unit"));
         }
+        if verdict == Verdict::Duplicate {
+            self.0.traffic.duplicates.fetch_add(1, Relaxed);
+        }
         if verdict != Verdict::Accepted {
             // Told before the bulk has come.
             return Ok(Response::new(verdict.into()));
@@ -80,6 +87,7 @@ impl work_server::Work for Work {
                 self.0.offence(worker, status.message());
             }
         })?;
+        self.0.traffic.results.fetch_add(bytes.len() as u64, Relaxed);
         let shared = Arc::clone(&self.0);
         let merged = tokio::task::spawn_blocking(move || shared.merge(&header, bytes));
         Ok(Response::new(merged.await.map_err(panicked)??.into()))
@@ -87,7 +95,8 @@ impl work_server::Work for Work {
 
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailReply>, Status> {
         let (worker, fence, job, failure) = <(WorkerId, Fence, JobId, Failure)>::try_from(request.into_inner())?;
-        tracing::warn!(worker = worker.0, job = job.0, ?failure, "a unit failed");
+        let about = About { job: Some(job), worker: Some(worker) };
+        self.0.tell(Kind::UnitFailed, about, format!("worker {} could not do a unit: {failure:?}", number(worker)));
         self.0.with_ledger(|ledger, now| ledger.fail(now, worker, fence, failure))?;
         self.0.work.notify_waiters();
         self.0.changed.notify_waiters();
@@ -102,7 +111,14 @@ impl work_server::Work for Work {
 
     async fn leave(&self, request: Request<LeaveRequest>) -> Result<Response<LeaveReply>, Status> {
         let Leave { worker, keep } = request.into_inner().try_into()?;
-        self.0.with_ledger(|ledger, _| ledger.leave(worker, &keep));
+        let gone = self.0.with_ledger(|ledger, _| {
+            let info = ledger.worker(worker).filter(|_| keep.is_empty()).cloned();
+            ledger.leave(worker, &keep);
+            info
+        });
+        if let Some(info) = gone {
+            self.0.tell(Kind::WorkerLeft, worker, format!("worker {} has left", called(worker, &info)));
+        }
         self.0.work.notify_waiters();
         self.0.changed.notify_waiters();
         Ok(Response::new(LeaveReply {}))
@@ -112,6 +128,7 @@ impl work_server::Work for Work {
         let digest = convert::digest(&request.into_inner().digest, "digest")?;
         let missing = || Status::not_found(format!("the coordinator does not have blob {digest}"));
         let bytes = self.0.blobs().get(&digest).ok_or_else(missing)?;
+        self.0.traffic.scenes_out.fetch_add(bytes.len() as u64, Relaxed);
         let stream = tokio_stream::iter(chunks(bytes).map(|data| Ok(Chunk { data })));
         Ok(Response::new(Box::pin(stream)))
     }

@@ -32,8 +32,11 @@ impl Film {
     /// Mean, variance of the mean, and count of the pixel (x, y) of the whole picture.
     pub fn estimate(&self, x: u32, y: u32) -> Estimate {
         let whole = self.half_estimate(x, y, Half::Both);
+        if !self.halves {
+            return whole;
+        }
         let [a, b] = [Half::First, Half::Second].map(|half| self.half_estimate(x, y, half));
-        if !self.halves || a.count == 0 || b.count == 0 {
+        if a.count == 0 || b.count == 0 {
             return whole;
         }
         let i = self.index(x, y);
@@ -69,17 +72,18 @@ impl Film {
     /// Variance of the mean from the replicates' means m_r with n_r samples each: Σ n_r (m_r − m)² / (n (K − 1)) over the K
     /// replicates that have samples, infinite for K < 2.
     fn variance(&self, sums: [i128; REPLICATES], counts: &[u32; REPLICATES]) -> f32 {
-        let filled: Vec<(f64, f64)> = (sums.iter().zip(counts))
-            .filter(|&(_, &n)| n > 0)
-            .map(|(&s, &n)| (f64::from(n), s as f64 / f64::from(n)))
-            .collect();
-        if filled.len() < 2 {
+        let filled = || {
+            let filled = sums.iter().zip(counts).filter(|&(_, &n)| n > 0);
+            filled.map(|(&s, &n)| (f64::from(n), s as f64 / f64::from(n)))
+        };
+        let replicates = filled().count();
+        if replicates < 2 {
             return f32::INFINITY;
         }
-        let n: f64 = filled.iter().map(|(n, _)| n).sum();
-        let m = filled.iter().map(|(n, m)| n * m).sum::<f64>() / n;
-        let spread: f64 = filled.iter().map(|(n, mean)| n * (mean - m) * (mean - m)).sum();
-        let fixed = spread / (n * (filled.len() - 1) as f64);
+        let n: f64 = filled().map(|(n, _)| n).sum();
+        let m = filled().map(|(n, m)| n * m).sum::<f64>() / n;
+        let spread: f64 = filled().map(|(n, mean)| n * (mean - m) * (mean - m)).sum();
+        let fixed = spread / (n * (replicates - 1) as f64);
         scale_down(scale_down(fixed, self.scale_exponent), self.scale_exponent) as f32
     }
 

@@ -1,0 +1,68 @@
+//! How much of the machine looking on may take: one part in [`SHARE`], averaged over time, however many look and however fast.
+//!
+//! Work is metered as it is done, and what was overdrawn is waited for (a generic cell rate algorithm on processor time).
+
+use std::time::Duration;
+use tokio::sync::Mutex;
+use tokio::time::Instant;
+
+/// Of the machine's processor time.
+const SHARE: f64 = 100.0;
+/// Processor time that may be taken at once after a pause: a few megapixels, so that whoever opens the page sees the whole image.
+const BURST: Duration = Duration::from_millis(300);
+
+/// See the module. One at a time works.
+pub struct Pace {
+    /// Waited for, for each second worked.
+    factor: f64,
+    /// When all that was taken is made up for.
+    paid: Mutex<Option<Instant>>,
+}
+
+impl Default for Pace {
+    fn default() -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { factor: SHARE / cores as f64, paid: Mutex::new(None) }
+    }
+}
+
+impl Pace {
+    /// Does something, when its turn has come.
+    pub async fn work<T>(&self, work: impl Future<Output = T>) -> T {
+        let mut paid = self.paid.lock().await;
+        if let Some(paid) = *paid {
+            let burst = BURST.mul_f64(self.factor);
+            tokio::time::sleep_until(paid.checked_sub(burst).unwrap_or(paid)).await;
+        }
+        let begun = Instant::now();
+        let result = work.await;
+        let taken = begun.elapsed().mul_f64(self.factor);
+        *paid = Some(paid.map_or(begun, |paid| paid.max(begun)) + taken);
+        result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whatever is asked for, in the long run one part in a hundred is taken; after a pause, some at once.
+    #[tokio::test(start_paused = true)]
+    async fn looking_on_takes_its_share_and_no_more() {
+        let pace = Pace { factor: SHARE, ..Pace::default() };
+        let begun = Instant::now();
+        let step = Duration::from_millis(10);
+        for _ in 0..1000 {
+            pace.work(tokio::time::sleep(step)).await;
+        }
+        let all = begun.elapsed().as_secs_f64();
+        // 10 s of work; 0.3 s of it were free.
+        assert!((960.0..1010.0).contains(&all), "{all} s");
+        tokio::time::sleep(Duration::from_secs(100)).await;
+        let begun = Instant::now();
+        for _ in 0..30 {
+            pace.work(tokio::time::sleep(step)).await;
+        }
+        assert!(begun.elapsed() < Duration::from_millis(400), "{:?}", begun.elapsed());
+    }
+}
