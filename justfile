@@ -24,6 +24,14 @@ fuzz seconds="600":
         (cd fuzz && cargo +nightly fuzz run --fuzz-dir . --sanitizer none $target -- -max_total_time={{seconds}} -max_len=20000 -rss_limit_mb=2048 -timeout=10) || exit 1; \
     done
 
+# The live page in a real browser, with killed workers and coordinators, and the metrics as Prometheus' own tool reads them. Needs
+# node, Debian's chromium and prometheus. `just view docs` takes the pictures of docs/live.md.
+view pictures="":
+    cargo build --release
+    cd tests/view && npm install --no-save --no-audit --no-fund playwright-core
+    cd tests/view && PICTURES="{{ if pictures == "" { "" } else { justfile_directory() / pictures } }}" node view.mjs
+    bash tests/view/metrics.sh
+
 # Formats everything.
 fmt:
     cargo fmt --all

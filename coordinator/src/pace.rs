@@ -27,15 +27,15 @@ impl Default for Pace {
 }
 
 impl Pace {
-    /// Does something, when its turn has come.
-    pub async fn work<T>(&self, work: impl Future<Output = T>) -> T {
+    /// Does something, when its turn has come and not before.
+    pub async fn work<T>(&self, work: impl AsyncFnOnce() -> T) -> T {
         let mut paid = self.paid.lock().await;
         if let Some(paid) = *paid {
             let burst = BURST.mul_f64(self.factor);
             tokio::time::sleep_until(paid.checked_sub(burst).unwrap_or(paid)).await;
         }
         let begun = Instant::now();
-        let result = work.await;
+        let result = work().await;
         let taken = begun.elapsed().mul_f64(self.factor);
         *paid = Some(paid.map_or(begun, |paid| paid.max(begun)) + taken);
         result
@@ -53,7 +53,7 @@ mod tests {
         let begun = Instant::now();
         let step = Duration::from_millis(10);
         for _ in 0..1000 {
-            pace.work(tokio::time::sleep(step)).await;
+            pace.work(async || tokio::time::sleep(step).await).await;
         }
         let all = begun.elapsed().as_secs_f64();
         // 10 s of work; 0.3 s of it were free.
@@ -61,7 +61,7 @@ mod tests {
         tokio::time::sleep(Duration::from_secs(100)).await;
         let begun = Instant::now();
         for _ in 0..30 {
-            pace.work(tokio::time::sleep(step)).await;
+            pace.work(async || tokio::time::sleep(step).await).await;
         }
         assert!(begun.elapsed() < Duration::from_millis(400), "{:?}", begun.elapsed());
     }

@@ -111,10 +111,9 @@ fn listener() -> (TcpListener, String) {
     (listener, address)
 }
 
-fn render(folder: &Folder, tev: &str, spp: &str) -> Running {
+fn render(folder: &Folder, tev: &str, size: &str, spp: &str) -> Running {
     let box_ = scene("cornell-box/scene.xml");
-    let args = ["render", &box_, "--tile", "16", "--size", "48x40", "--spp", spp, "--json", "--tev", tev];
-    folder.start(args)
+    folder.start(["render", &box_, "--tile", "16", "--size", size, "--spp", spp, "--json", "--tev", tev])
 }
 
 /// The image that was written, as a viewer would have it.
@@ -133,7 +132,7 @@ fn written(folder: &Folder) -> BTreeMap<String, Vec<u32>> {
 #[test]
 fn a_viewer_has_the_image_that_is_written() {
     let (folder, (listener, address)) = (Folder::new(), listener());
-    let render = render(&folder, &address, "200");
+    let render = render(&folder, &address, "48x40", "200");
     let images = watch(&mut listener.accept().expect("it connects").0, usize::MAX);
     render.end().finished();
     assert_eq!(images.keys().collect::<Vec<_>>(), ["tilecast 1"]);
@@ -143,7 +142,7 @@ fn a_viewer_has_the_image_that_is_written() {
 #[test]
 fn a_viewer_that_is_started_again_has_all_of_it_again() {
     let (folder, (listener, address)) = (Folder::new(), listener());
-    let render = render(&folder, &address, "20000");
+    let render = render(&folder, &address, "48x40", "8000");
     let first = watch(&mut listener.accept().expect("it connects").0, 4);
     assert_eq!(first["tilecast 1"].updates, 3);
     let images = watch(&mut listener.accept().expect("it connects again").0, usize::MAX);
@@ -155,10 +154,10 @@ fn a_viewer_that_is_started_again_has_all_of_it_again() {
 #[test]
 fn a_viewer_that_is_absent_or_stalled_changes_nothing() {
     let folder = Folder::new();
-    let alone = folder.render(&scene("cornell-box/scene.xml"), ["--tile", "16", "--size", "48x40", "--spp", "3000"]);
+    let alone = folder.render(&scene("cornell-box/scene.xml"), ["--size", "192x192", "--spp", "64"]);
     let (stalled, address) = listener();
     for viewer in [free_address(), address] {
-        let finished = render(&folder, &viewer, "3000").end().finished();
+        let finished = render(&folder, &viewer, "192x192", "64").end().finished();
         assert_eq!(finished["digest"], alone["digest"]);
     }
     drop(stalled);

@@ -130,7 +130,7 @@ async fn the_page_has_the_pixels_of_the_image_with_their_errors() {
     // Of another coordinator's versions nothing is known; what is not there is not there.
     let others = format!("/api/jobs/{}/tiles/abc/0", job["id"]);
     assert_eq!(get(&http, &others).await.status, 409);
-    assert_eq!(get(&http, &path.replace("/1/", "/77/").replace("/tiles", "/tiles")).await.status, 404);
+    assert_eq!(get(&http, &format!("{}/0", path.replace("/1/", "/77/"))).await.status, 404);
     assert_eq!(get(&http, "/api/jobs/77").await.status, 404);
     let detail: Value = serde_json::from_slice(&get(&http, &format!("/api/jobs/{}", job["id"])).await.body).unwrap();
     let history = detail["history"].as_array().unwrap();

@@ -33,7 +33,7 @@ pub async fn tiles(State(site): State<Arc<Inner>>, Path((job, instance, since)):
         return (StatusCode::CONFLICT, "the coordinator was started again\n").into_response();
     }
     let shared = Arc::clone(&site.shared);
-    let encode = tokio::task::spawn_blocking(move || encoded(&shared, JobId(job), since));
+    let encode = async || tokio::task::spawn_blocking(move || encoded(&shared, JobId(job), since)).await;
     match site.pace.work(encode).await {
         Ok(Ok(bytes)) => ([(header::CONTENT_TYPE, "application/octet-stream")], bytes).into_response(),
         Ok(Err(status)) => told(&status),

@@ -24,7 +24,7 @@ pub const PORT: u16 = 14158;
 /// Changes are looked for this often: what happens to a tile in between is sent once.
 const INTERVAL: Duration = Duration::from_millis(250);
 /// A viewer that is not there is looked for this often,
-const RETRY: Duration = Duration::from_secs(1);
+const RETRY: Duration = Duration::from_millis(500);
 /// and has this long to answer.
 const CONNECT_MAX: Duration = Duration::from_secs(3);
 /// When the coordinator ends, the last tiles have this long to be taken.
@@ -92,8 +92,9 @@ impl Tev {
             if ending {
                 return viewer.shutdown().await;
             }
+            let mut said = [0; 64];
             tokio::select! {
-                said = viewer.read(&mut [0; 64]) => if said? == 0 { return Ok(()) },
+                said = viewer.read(&mut said) => if said? == 0 { return Ok(()) },
                 () = tokio::time::sleep(INTERVAL) => {}
                 () = closing.cancelled() => {}
             }
@@ -106,7 +107,7 @@ impl Tev {
         let mut more = false;
         for (job, known) in self.images.clone() {
             let shared = Arc::clone(&self.shared);
-            let work = tokio::task::spawn_blocking(move || frames(&shared, job, known));
+            let work = async || tokio::task::spawn_blocking(move || frames(&shared, job, known)).await;
             let Ok(Some(news)) = self.pace.work(work).await else { continue };
             viewer.write_all(&news.bytes).await?;
             self.images.insert(job, Some(news.version));

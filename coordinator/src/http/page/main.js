@@ -186,11 +186,13 @@ function progress(job) {
   const done = job.state === "running" ? `${(100 * fraction).toFixed(1)} %` : `${Math.floor(100 * fraction)} %, ${job.state}`;
   set("done", done);
   set("left", left);
-  set("error", job.error ? `${percent(job.error[0])} (${percent(job.error[1], 2)} – ${percent(job.error[2], 2)})` : "not known yet");
+  set("error", job.error ? percent(job.error[0]) : "not known yet");
+  set("interval", job.error ? `${percent(job.error[1], 2)} to ${percent(job.error[2], 2)}` : "");
   // The error of the mean goes with the root of the number of samples.
   const expected = job.error && goesOn(job) ? job.error[0] * Math.sqrt(fraction) : null;
   set("goalname", expected ? "Expected at the end" : "Samples a pixel");
-  set("goal", expected ? `${percent(expected)} at ${job.spp.toLocaleString("en")} spp` : job.spp.toLocaleString("en"));
+  set("goal", expected ? percent(expected) : job.spp.toLocaleString("en"));
+  set("goalspp", expected ? `with ${job.spp.toLocaleString("en")} samples a pixel` : "");
   set("rate", job.samples_per_second > 0 ? count(job.samples_per_second) : "–");
   set("running", job.running > 0 ? duration(job.running) : "–");
   plot.aim(expected, expected && job.seconds_left !== null ? job.running + job.seconds_left : null);

@@ -13,6 +13,12 @@ const colour = (name) => {
   return value;
 };
 
+// One unit a time, to fit below the plot.
+function brief(s) {
+  if (s < 1000) return `${+s.toPrecision(1)} s`;
+  return s < 36000 ? `${Math.round(s / 60)} min` : `${Math.round(s / 3600)} h`;
+}
+
 export class Plot {
   constructor(place) {
     this.place = place;
@@ -30,7 +36,7 @@ export class Plot {
   }
 
   size() {
-    return { width: Math.max(200, this.place.clientWidth), height: 240 };
+    return { width: Math.max(200, this.place.clientWidth), height: 280 };
   }
 
   // What the coordinator measured after each round: seconds, samples, [error, low, high].
@@ -97,7 +103,7 @@ export class Plot {
       legend: { live: true },
       cursor: { y: false },
       scales: { x: { time: false, distr: 3, range }, y: { distr: 3, range } },
-      axes: [{ ...axis((v) => (v < 1 ? `${+v.toPrecision(1)} s` : duration(v).replace(".0", "").replace(/ 0 .*/, ""))), size: 32 }, axis((v) => percent(v, 2))],
+      axes: [{ ...axis(brief), size: 32 }, axis((v) => percent(v, 2))],
       series: [
         { label: "Time", value: shown(duration) },
         line("Error", accent, { width: 0, paths: () => null, points: { show: true, size: 7, fill: accent } }),
