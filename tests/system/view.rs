@@ -283,7 +283,7 @@ async fn serve(config: Config) -> (String, String) {
 /// A job that waits for workers.
 fn waiting() -> JobSpec {
     let settings = settings();
-    let samples = vec![0..settings.spp];
+    let samples = std::iter::once(0..settings.spp).collect();
     JobSpec { scene: Digest([7; 32]), settings, tile: None, samples, name: "box".into(), workers_hold_scene: true }
 }
 

@@ -225,13 +225,8 @@ fn jobs(ledger: &Ledger, now: Duration) -> (Vec<Shown>, usize) {
 }
 
 fn row(shared: &Shared, (progress, speed, submitted): Shown) -> Job {
-    let (state, why) = match progress.state {
-        JobState::Queued => ("queued", None),
-        JobState::Running => ("running", None),
-        JobState::Finished => ("finished", None),
-        JobState::Failed(why) => ("failed", Some(why)),
-        JobState::Cancelled => ("cancelled", None),
-    };
+    let state = state_name(&progress.state);
+    let why = if let JobState::Failed(why) = progress.state { Some(why) } else { None };
     let left = progress.samples_total.saturating_sub(progress.samples_done);
     let crop = progress.settings.film.crop;
     Job {
@@ -254,6 +249,17 @@ fn row(shared: &Shared, (progress, speed, submitted): Shown) -> Job {
         height: crop.height(),
         spp: progress.settings.spp,
         seed: progress.settings.seed,
+    }
+}
+
+/// As page and metrics call it.
+pub fn state_name(state: &JobState) -> &'static str {
+    match state {
+        JobState::Queued => "queued",
+        JobState::Running => "running",
+        JobState::Finished => "finished",
+        JobState::Failed(_) => "failed",
+        JobState::Cancelled => "cancelled",
     }
 }
 

@@ -2,6 +2,7 @@
 //! are good for; a test holds page and table to each other.
 
 use super::Inner;
+use super::live::state_name;
 use crate::ledger::Ledger;
 use crate::service::number;
 use axum::extract::State;
@@ -11,7 +12,7 @@ use prometheus::{CounterVec, Encoder, GaugeVec, Opts, Registry, TextEncoder};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
-use tilecast_proto::types::{JobState, Progress, WorkerStatus};
+use tilecast_proto::types::{Progress, WorkerStatus};
 
 /// Workers with lines of their own: a monitor keeps every line for weeks.
 const WORKERS_TOLD_MAX: usize = 1000;
@@ -117,15 +118,9 @@ fn totals(ledger: &Ledger, values: &mut Values) {
 
 fn jobs(ledger: &Ledger, now: Duration, values: &mut Values) {
     let all: Vec<Progress> = ledger.jobs().into_iter().filter_map(|id| ledger.progress(now, id).ok()).collect();
-    let states: [(&str, fn(&JobState) -> bool); 5] = [
-        ("queued", |state| *state == JobState::Queued),
-        ("running", |state| *state == JobState::Running),
-        ("finished", |state| *state == JobState::Finished),
-        ("failed", |state| matches!(state, JobState::Failed(_))),
-        ("cancelled", |state| *state == JobState::Cancelled),
-    ];
-    for (name, is) in states {
-        values.push(("tilecast_jobs", owned(&[name]), all.iter().filter(|job| is(&job.state)).count() as f64));
+    for name in ["queued", "running", "finished", "failed", "cancelled"] {
+        let count = all.iter().filter(|job| state_name(&job.state) == name).count();
+        values.push(("tilecast_jobs", owned(&[name]), count as f64));
     }
     for job in all.iter().filter(|job| !job.state.is_final()) {
         let labels = vec![job.job.to_string(), job.name.clone()];
