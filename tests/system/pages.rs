@@ -105,9 +105,11 @@ fn blocks(page: &str, text: &str) -> Vec<Block> {
 }
 
 /// A command as it is run here: the same flags with smaller values.
-fn small(command: &str, address: &str) -> String {
-    let (host, port) = address.rsplit_once(':').expect("HOST:PORT");
-    let command = command.replace("cargo run --release --", "tilecast").replace("7878", port);
+fn small(command: &str, address: &str, http: &str) -> String {
+    let port = |address: &str| address.rsplit_once(':').expect("HOST:PORT").1.to_owned();
+    let host = address.trim_end_matches(|c| c != ':').trim_end_matches(':');
+    let command = command.replace("cargo run --release --", "tilecast");
+    let command = command.replace("7878", &port(address)).replace("7880", &port(http));
     let mut words: Vec<String> = command.replace("HOST:", &format!("{host}:")).split(' ').map(str::to_owned).collect();
     let fewer = |n: &str| {
         n.parse::<u64>().map_or(n.to_owned(), |n| if n == 0 { n } else { (n / FEWER).max(SAMPLES_MIN) }.to_string())
@@ -147,11 +149,11 @@ fn run(page: &str, text: &str) -> usize {
         }
     }
     folder.write("docs/empty", "");
-    let address = free_address();
+    let (address, http) = (free_address(), free_address());
     let mut running: Vec<Running> = Vec::new();
     let mut count = 0;
     for block in blocks(page, text).iter().filter(|block| block.needs.is_none()) {
-        for command in block.commands.iter().map(|command| small(command, &address)) {
+        for command in block.commands.iter().map(|command| small(command, &address, &http)) {
             let at = format!("{page}, line {}: {command}", block.line);
             let words: Vec<&str> = command.split_whitespace().collect();
             if words[0] == "tilecast"

@@ -58,7 +58,7 @@ async function run() {
   let alpha = worker("alpha");
   worker("beta");
   const submit = (spp, ...more) => start("submit", scene, "--json", "--connect", address, "--size", "320x320", "--spp", spp, ...more);
-  const job = submit("2000");
+  const job = submit("1000");
 
   const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
   const page = await browser.newPage({ viewport: { width: 1280, height: 900 }, colorScheme: "light" });
