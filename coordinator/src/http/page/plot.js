@@ -93,7 +93,7 @@ export class Plot {
     const line = (label, stroke, more = {}) => ({ label, stroke, spanGaps: true, points: { show: false }, value: shown(percent), ...more });
     // Whole decades would leave most of a small plot empty.
     const range = (_, low, high) => (low > 0 ? [low / 1.25, Math.max(high, low) * 1.25] : [0.1, 10]);
-    const ticks = (_, splits) => splits.map((v) => (/^[125]/.test(v.toExponential()) ? v : null));
+    const ticks = (_, splits) => splits.map((v) => (/^[125]\.0/.test(v.toExponential(1)) ? v : null));
     const axis = (format) => ({
       stroke: ink, grid, ticks: grid, size: 52, filter: ticks,
       values: (_, splits) => splits.map((v) => (v == null ? "" : format(v))),
