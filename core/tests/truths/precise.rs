@@ -40,7 +40,7 @@ fn check(what: &str, scene: &Scene, job: &Settings, truth: f64) {
 
 /// Of each of 64 pixels.
 fn samples() -> u32 {
-    if long() { 1 << 17 } else { 1 << 12 }
+    if long() { 1 << 14 } else { 1 << 12 }
 }
 
 const SAMPLED: [Strategy; 2] = [Strategy::Light, Strategy::Mis];
