@@ -3,20 +3,20 @@
 mod instances;
 mod lists;
 mod place;
+mod points;
+mod search;
 mod tangents;
 
-use crate::bvh::simd::{Lanes, prefetch_line};
-use crate::bvh::{Aabb, Ray, Stats, TriangleBvh, TriangleHit, triangle_bounds};
-use crate::frame::Frame;
+use crate::bvh::{Aabb, Stats, TriangleBvh, TriangleHit, triangle_bounds};
 use crate::scene::{Scene, Shape};
 use crate::shape::{Analytic, AnalyticBvh};
-use crate::surface::Surface;
 use glam::{Vec2, Vec3};
 use instances::Instances;
 use lists::Lists;
 pub use lists::Meshes;
 use place::face_normal;
 pub use place::{Place, place, place_of_sliver};
+pub use points::TrianglePoint;
 
 /// Stands for "none" in the tables below.
 const NONE: u32 = u32::MAX;
@@ -26,8 +26,6 @@ const NONE: u32 = u32::MAX;
 const TURNS_FROM: usize = 1 << 26;
 /// With so many triangles it pays to ask for what tables say of them ahead of time; with fewer all of it is near anyway.
 const SCATTERED_FROM: u32 = 1 << 12;
-/// Rays handed over to the hierarchy at a time.
-const TURNS: usize = 256;
 
 /// Triangles of all meshes in one list, analytic shapes in another. A *primitive* is a triangle or an analytic shape;
 /// analytic ones are numbered after the triangles. Groups that are placed many times are such geometries of their own.
@@ -199,212 +197,6 @@ impl Geometry {
         self.bvh.stats()
     }
 
-    /// The nearest hit; of equally near ones the first primitive.
-    #[inline(always)]
-    pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<Hit> {
-        self.closest_with(lanes, ray, self.bvh.closest(lanes, ray))
-    }
-
-    /// The nearest hit, that of the triangles given.
-    #[inline(always)]
-    fn closest_with<L: Lanes>(&self, lanes: L, ray: &Ray, triangle: Option<TriangleHit>) -> Option<Hit> {
-        let hit = self.closest_of_own(lanes, ray, triangle);
-        let Some(instances) = &self.instances else { return hit };
-        let t_max = hit.map_or(ray.t_max, |hit| hit.t());
-        let instanced = instances.closest(lanes, &Ray { t_max, ..*ray });
-        instanced.filter(|other| hit.is_none_or(|hit| other.t() < hit.t())).or(hit)
-    }
-
-    /// [`Geometry::closest`] of many rays. `hits` is as long as `rays`.
-    #[inline(always)]
-    pub fn closest_many<L: Lanes>(&self, lanes: L, rays: &[Ray], hits: &mut [Option<Hit>]) {
-        if !self.in_turns {
-            for (ray, hit) in rays.iter().zip(hits) {
-                *hit = self.closest(lanes, ray);
-            }
-            return;
-        }
-        let mut triangles = [None; TURNS];
-        for (rays, hits) in rays.chunks(TURNS).zip(hits.chunks_mut(TURNS)) {
-            let triangles = &mut triangles[..rays.len()];
-            self.bvh.closest_many(lanes, rays, triangles);
-            for ((ray, hit), triangle) in rays.iter().zip(hits).zip(triangles) {
-                *hit = self.closest_with(lanes, ray, *triangle);
-            }
-        }
-    }
-
-    /// [`Geometry::occluded`] of many rays. `occluded` is as long as `rays`.
-    #[inline(always)]
-    pub fn occluded_many<L: Lanes>(&self, lanes: L, rays: &[Ray], occluded: &mut [bool]) {
-        if !self.in_turns {
-            for (ray, occluded) in rays.iter().zip(occluded) {
-                *occluded = self.occluded(lanes, ray);
-            }
-            return;
-        }
-        self.bvh.occluded_many(lanes, rays, occluded);
-        for (ray, occluded) in rays.iter().zip(occluded) {
-            *occluded = *occluded || self.occluded_by_others(lanes, ray);
-        }
-    }
-
-    /// The nearest hit that is in no instance, that of the triangles given.
-    #[inline(always)]
-    fn closest_of_own<L: Lanes>(&self, lanes: L, ray: &Ray, triangle: Option<TriangleHit>) -> Option<Hit> {
-        if self.analytic.is_empty() {
-            return triangle.map(Hit::Triangle);
-        }
-        let t_max = triangle.map_or(ray.t_max, |hit| hit.t);
-        let analytic = self.analytic_bvh.closest(lanes, &self.analytic, &Ray { t_max, ..*ray });
-        match (triangle, analytic) {
-            (Some(hit), Some((t, _))) if hit.t <= t => Some(Hit::Triangle(hit)),
-            (_, Some((t, index))) => Some(Hit::Analytic { t, index }),
-            (triangle, None) => triangle.map(Hit::Triangle),
-        }
-    }
-
-    /// Whether anything lies on the ray.
-    #[inline(always)]
-    pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
-        self.bvh.occluded(lanes, ray) || self.occluded_by_others(lanes, ray)
-    }
-
-    /// Whether anything but the geometry's own triangles lies on the ray.
-    #[inline(always)]
-    fn occluded_by_others<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
-        (!self.analytic.is_empty() && self.analytic_bvh.occluded(lanes, &self.analytic, ray))
-            || self.instances.as_ref().is_some_and(|instances| instances.occluded(lanes, ray))
-    }
-
-    /// Whether anything that is in no instance lies on the ray.
-    #[inline(always)]
-    fn occluded_by_own<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
-        self.bvh.occluded(lanes, ray)
-            || (!self.analytic.is_empty() && self.analytic_bvh.occluded(lanes, &self.analytic, ray))
-    }
-
-    /// The surface where a ray hit it.
-    #[inline(always)]
-    pub fn surface(&self, ray: &Ray, hit: Hit) -> Surface {
-        match hit {
-            Hit::Triangle(TriangleHit { u, v, triangle, .. }) => self.triangle_surface(triangle, Vec2::new(u, v)),
-            Hit::Analytic { t, index } => self.analytic_surface(index, ray.origin + ray.direction * t),
-            Hit::InstancedTriangle(i, hit) => self.instanced(i, ray, Hit::Triangle(hit)),
-            Hit::InstancedAnalytic(i, t, index) => self.instanced(i, ray, Hit::Analytic { t, index }),
-        }
-    }
-
-    fn instanced(&self, instance: u32, ray: &Ray, hit: Hit) -> Surface {
-        match &self.instances {
-            Some(instances) => instances.surface(ray, instance, hit),
-            None => unreachable!("a hit on an instance comes from a geometry with instances"),
-        }
-    }
-
-    /// The point of a triangle with barycentric coordinates `b` of its vertices 1 and 2.
-    #[inline(always)]
-    pub fn triangle_surface(&self, triangle: u32, b: Vec2) -> Surface {
-        let point = self.triangle_point(triangle, b);
-        let mut place = place(point.corners, point.shading, b);
-        if !place.is_sure {
-            place = place_of_sliver(point.corners, point.shading, b);
-        }
-        Surface {
-            position: place.position,
-            error: place.error,
-            normal: place.normal,
-            frame: place.frame,
-            uv: point.uv,
-            barycentric: b,
-            shape: point.shape,
-            instance: None,
-            primitive: triangle,
-            light: point.light,
-        }
-    }
-
-    /// Asks for what [`Geometry::triangle_point`] will read at these hits, ahead of time.
-    #[inline(always)]
-    pub fn prefetch(&self, hits: &[Option<Hit>]) {
-        if !self.is_scattered {
-            return;
-        }
-        let triangles =
-            || hits.iter().filter_map(|hit| if let Some(Hit::Triangle(hit)) = hit { Some(hit) } else { None });
-        for hit in triangles() {
-            prefetch_line(&self.triangles[hit.triangle as usize]);
-            prefetch_line(&self.triangle_shapes[hit.triangle as usize]);
-        }
-        for hit in triangles() {
-            let table = &self.shapes[self.triangle_shapes[hit.triangle as usize] as usize];
-            for vertex in self.triangles[hit.triangle as usize] {
-                prefetch_line(&self.positions[vertex as usize]);
-                if table.first_normal != NONE {
-                    prefetch_line(&self.normals[(vertex - table.first_vertex + table.first_normal) as usize]);
-                }
-                if table.first_uv != NONE {
-                    prefetch_line(&self.uvs[(vertex - table.first_vertex + table.first_uv) as usize]);
-                }
-            }
-        }
-    }
-
-    /// What tables say of the point of a triangle.
-    #[inline(always)]
-    pub fn triangle_point(&self, triangle: u32, b: Vec2) -> TrianglePoint {
-        let shape = self.triangle_shapes[triangle as usize];
-        let table = &self.shapes[shape as usize];
-        let vertices = self.triangles[triangle as usize];
-        let weights = [1.0 - b.x - b.y, b.x, b.y];
-        let shading = if table.first_normal == NONE {
-            Vec3::ZERO
-        } else {
-            let at = |i: usize| self.normals[(vertices[i] - table.first_vertex + table.first_normal) as usize];
-            at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
-        };
-        let uv = if table.first_uv == NONE {
-            b
-        } else {
-            let at = |i: usize| self.uvs[(vertices[i] - table.first_vertex + table.first_uv) as usize];
-            at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
-        };
-        let corner = |i: usize| self.positions[vertices[i] as usize];
-        let corners = [corner(0), corner(1), corner(2)];
-        TrianglePoint { corners, shading, uv, shape: self.first_shape + shape, light: table.light_of(triangle) }
-    }
-
-    /// Whether a triangle's shading normal is its own everywhere, found without [`place_of_sliver`].
-    pub fn is_plain(&self, triangle: u32) -> bool {
-        let table = &self.shapes[self.triangle_shapes[triangle as usize] as usize];
-        table.first_normal == NONE && face_normal(self.vertices(triangle)).1
-    }
-
-    /// The point of an analytic shape nearest to `position`.
-    #[inline(always)]
-    pub fn analytic_surface(&self, index: u32, position: Vec3) -> Surface {
-        self.analytic_point(index, self.analytic[index as usize].point(position))
-    }
-
-    /// A point of an analytic shape as a surface.
-    #[inline(always)]
-    pub fn analytic_point(&self, index: u32, point: crate::shape::Point) -> Surface {
-        let shape = self.analytic_shapes[index as usize];
-        let table = &self.shapes[shape as usize];
-        Surface {
-            position: point.position,
-            error: point.error,
-            normal: point.normal,
-            frame: Frame::around(point.normal),
-            uv: point.uv,
-            barycentric: Vec2::ZERO,
-            shape: self.first_shape + shape,
-            instance: None,
-            primitive: table.first_primitive,
-            light: table.light_of(table.first_primitive),
-        }
-    }
-
     /// The analytic shape of this index.
     pub fn analytic(&self, index: u32) -> &Analytic {
         &self.analytic[index as usize]
@@ -502,21 +294,6 @@ impl Geometry {
         let analytic = self.analytic.iter().map(|shape| Aabb { min: shape.bounds().0, max: shape.bounds().1 });
         analytic.fold(all, Aabb::union)
     }
-}
-
-/// What tables say of a point of a triangle.
-#[derive(Clone, Copy, Debug)]
-pub struct TrianglePoint {
-    /// The vertices.
-    pub corners: [Vec3; 3],
-    /// The interpolated normal, of any length; zero where there is none.
-    pub shading: Vec3,
-    /// Texture coordinates.
-    pub uv: Vec2,
-    /// The shape.
-    pub shape: u32,
-    /// The light, if it emits.
-    pub light: Option<u32>,
 }
 
 impl ShapeTable {
