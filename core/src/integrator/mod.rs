@@ -40,9 +40,8 @@ const HIDDEN_MAX: u32 = 1 << 12;
 
 /// Surfaces before early roulette. After the first alone it costs where that leads to bright light.
 const EARLY_DEPTH: u32 = 2;
-/// Early roulette lets a path go on with this many times its throughput. Measured from 1 to 3: less gains more where paths are
-/// long, and loses where they are cut by a depth limit anyway.
-const EARLY_CONTRIBUTION: f32 = 1.5;
+/// Early roulette lets a path go on with this many times its throughput. Measured from 1.5 to 3: less ends more paths than pays.
+const EARLY_CONTRIBUTION: f32 = 2.5;
 
 /// What is estimated, and how.
 #[derive(Clone, Copy, Debug)]
