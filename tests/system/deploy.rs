@@ -7,6 +7,8 @@ use std::path::Path;
 
 /// The port that all of deploy/ agrees on.
 const PORT: &str = "7878";
+/// And the one of health, metrics and the live page.
+const HTTP_PORT: &str = "7880";
 
 fn text(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy").join(name);
@@ -32,7 +34,7 @@ fn meet(commands: &[Vec<String>]) {
     assert_eq!(commands.len(), 2, "{commands:?}");
     let folder = Folder::new();
     assert_eq!(folder.tilecast(["certs", "init", "certs"]).code, Some(0));
-    let address = free_address();
+    let (address, http) = (free_address(), free_address());
     let port = address.rsplit_once(':').expect("HOST:PORT").1;
     let here = |words: &[String]| -> Vec<String> {
         let mut words = words.to_vec();
@@ -43,6 +45,10 @@ fn meet(commands: &[Vec<String>]) {
                     let there = if words[i] == "${COORDINATOR}" { "HOST:7878" } else { &words[i] };
                     assert_eq!(there.rsplit_once(':').map(|(_, port)| port), Some(PORT), "{words:?}");
                     address.clone()
+                }
+                "--http" => {
+                    assert_eq!(words[i], format!("0.0.0.0:{HTTP_PORT}"));
+                    http.clone()
                 }
                 "--state" => "state".to_owned(),
                 "--certs" => "certs".to_owned(),
@@ -55,6 +61,9 @@ fn meet(commands: &[Vec<String>]) {
     assert!(coordinator[0].contains(&format!("0.0.0.0:{PORT}")), "{coordinator:?}");
     let _coordinator: Running = folder.start(here(coordinator[0]));
     poll("the coordinator", || TcpStream::connect(&address).ok());
+    if coordinator[0].iter().any(|word| word == "--http") {
+        poll("its port for probes", || TcpStream::connect(&http).ok());
+    }
     let mut worker = folder.start(here(worker[0]));
     worker.complains("registered");
 }
@@ -64,16 +73,15 @@ fn meet(commands: &[Vec<String>]) {
 fn the_chart_starts_and_probes_what_there_is() {
     let rendered = text("helm/rendered.yaml");
     meet(&lists(&rendered, "args:"));
-    for key in ["containerPort:", "targetPort:"] {
-        assert!(!values(&rendered, key).is_empty(), "{key}");
-    }
-    assert_eq!(values(&rendered, "containerPort:"), [PORT]);
-    // Service, rule for callers, rule for workers; and names that stand for the container's port.
+    assert_eq!(values(&rendered, "containerPort:"), [PORT, HTTP_PORT]);
+    assert_eq!(values(&rendered, "targetPort:"), ["grpc", "http"]);
+    // Service and rules for callers name numbers, probes the container's port by name.
     let ports: Vec<&str> = values(&rendered, "port:");
-    assert_eq!(ports.iter().filter(|port| **port == PORT).count(), 3, "{ports:?}");
-    assert_eq!(ports.iter().filter(|port| **port == "53").count(), 2, "names of hosts: {ports:?}");
-    assert_eq!(ports.iter().filter(|port| **port == "grpc").count(), 3, "three probes: {ports:?}");
-    assert_eq!(ports.len(), 8, "{ports:?}");
+    let count = |port: &str| ports.iter().filter(|&&p| p == port).count();
+    assert_eq!((count(PORT), count(HTTP_PORT), count("53"), count("http")), (4, 2, 2, 3), "{ports:?}");
+    assert_eq!(ports.len(), 11, "{ports:?}");
+    assert_eq!(values(&rendered, "path: /"), ["healthz", "readyz", "healthz"]);
+    assert_eq!(values(&rendered, "scheme:"), ["HTTPS"; 3], "with certificates there is no other");
     for probe in ["startupProbe:", "readinessProbe:", "livenessProbe:"] {
         assert_eq!(values(&rendered, probe).len(), 1, "{probe}");
     }
