@@ -7,8 +7,8 @@ use tilecast_core::scene::{Emitter, Geometry, Mesh, MeshId};
 use tilecast_core::settings::{IntegratorKind, Offsets, Settings, Strategy};
 
 /// A fin 0.05 high, a thousand units from the world's zero, in light that falls by one in ten: its shadow is half a unit long.
-/// Mitsuba's rays start 8.94e-5 (1 + 1000) = 0.0895 above the ground there and pass it. (Without the origin in the sum they would
-/// start 0.0002 above it: seen to fail so.)
+/// Mitsuba's rays start 8.94e-5 (1 + 1000) = 0.0895 above the ground there and pass it. Without the origin in the sum they would
+/// start 0.0002 above it, and lie in its shadow.
 #[test]
 fn mitsubas_rays_start_above_low_relief() {
     let ground = Geometry::Disk { to_world: Affine3::from_scale(Vec3::splat(5.0)), flip_normals: false };
