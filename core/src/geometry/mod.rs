@@ -297,6 +297,18 @@ impl Geometry {
 }
 
 impl ShapeTable {
+    /// Index of a vertex's normal, where the shape has normals.
+    #[inline(always)]
+    fn normal_of(&self, vertex: u32) -> usize {
+        (vertex - self.first_vertex + self.first_normal) as usize
+    }
+
+    /// Index of a vertex's texture coordinates, where the shape has them.
+    #[inline(always)]
+    fn uv_of(&self, vertex: u32) -> usize {
+        (vertex - self.first_vertex + self.first_uv) as usize
+    }
+
     #[inline(always)]
     fn light_of(&self, primitive: u32) -> Option<u32> {
         (self.first_light != NONE).then(|| self.first_light + (primitive - self.first_primitive))

@@ -66,10 +66,10 @@ impl Geometry {
             for vertex in self.triangles[hit.triangle as usize] {
                 prefetch_line(&self.positions[vertex as usize]);
                 if table.first_normal != NONE {
-                    prefetch_line(&self.normals[(vertex - table.first_vertex + table.first_normal) as usize]);
+                    prefetch_line(&self.normals[table.normal_of(vertex)]);
                 }
                 if table.first_uv != NONE {
-                    prefetch_line(&self.uvs[(vertex - table.first_vertex + table.first_uv) as usize]);
+                    prefetch_line(&self.uvs[table.uv_of(vertex)]);
                 }
             }
         }
@@ -85,13 +85,13 @@ impl Geometry {
         let shading = if table.first_normal == NONE {
             Vec3::ZERO
         } else {
-            let at = |i: usize| self.normals[(vertices[i] - table.first_vertex + table.first_normal) as usize];
+            let at = |i: usize| self.normals[table.normal_of(vertices[i])];
             at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
         };
         let uv = if table.first_uv == NONE {
             b
         } else {
-            let at = |i: usize| self.uvs[(vertices[i] - table.first_vertex + table.first_uv) as usize];
+            let at = |i: usize| self.uvs[table.uv_of(vertices[i])];
             at(0) * weights[0] + at(1) * weights[1] + at(2) * weights[2]
         };
         let corner = |i: usize| self.positions[vertices[i] as usize];

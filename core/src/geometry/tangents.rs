@@ -28,7 +28,7 @@ impl Geometry {
         if table.first_uv == NONE {
             return (e1, e2);
         }
-        let [t0, t1, t2] = vertices.map(|i| self.uvs[(i - table.first_vertex + table.first_uv) as usize]);
+        let [t0, t1, t2] = vertices.map(|i| self.uvs[table.uv_of(i)]);
         let (a, b): (Vec2, Vec2) = (t1 - t0, t2 - t0);
         let determinant = a.perp_dot(b);
         let (dpdu, dpdv) = ((e1 * b.y - e2 * a.y) / determinant, (e2 * a.x - e1 * b.x) / determinant);
