@@ -355,7 +355,7 @@ mod tests {
                 ((v * boxes as f32) as usize).min(boxes - 1) * boxes + ((u * boxes as f32) as usize).min(boxes - 1)
             };
             let (mut seen, mut expected) = (vec![0.0; boxes * boxes], vec![0.0; boxes * boxes]);
-            let (n, fine) = (256, 1024);
+            let (n, fine) = (1024, 2048);
             let mut sampler = 0u64;
             for _ in 0..n * n {
                 sampler = crate::sampler::mix64(sampler);
