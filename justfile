@@ -32,6 +32,11 @@ view pictures="":
     cd tests/view && PICTURES="{{ if pictures == "" { "" } else { justfile_directory() / pictures } }}" node view.mjs
     bash tests/view/metrics.sh
 
+# What looking on costs a render: by turns with nobody, an open page, pages and a tev that stall. The table of docs/live.md. An hour.
+cost *flags:
+    cargo build --release
+    python3 tests/view/cost.py {{flags}}
+
 # Formats everything.
 fmt:
     cargo fmt --all

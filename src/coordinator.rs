@@ -22,6 +22,8 @@ pub struct Coordinator {
     pub http: Option<String>,
     /// Where a tev listens, HOST:PORT.
     pub tev: Option<String>,
+    /// Where a collector of traces listens, `http://HOST:PORT`.
+    pub otlp: Option<String>,
     /// Where jobs and films are kept.
     pub state: Option<PathBuf>,
     /// The share of units that is done twice.
@@ -39,7 +41,7 @@ pub struct Coordinator {
 /// # Errors
 /// An address that cannot be had.
 pub async fn run(
-    Coordinator { listen, http, tev, state, verify, security, style, .. }: Coordinator,
+    Coordinator { listen, http, tev, otlp, state, verify, security, style, .. }: Coordinator,
 ) -> anyhow::Result<()> {
     let stop = on_signal()?;
     let listener = TcpListener::bind(&listen)
@@ -61,7 +63,7 @@ pub async fn run(
     let mut report = Report::new(style);
     report.listening(&address);
     view.iter().for_each(|view| report.viewing(&view.url));
-    let page = Lookers { view, tev }.show(&coordinator);
+    let page = Lookers { view, tev, otlp }.show(&coordinator)?;
     coordinator.serve(tcp_incoming(listener), stop.cancelled()).await?;
     page.end().await
 }

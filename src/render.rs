@@ -87,7 +87,7 @@ pub async fn run(render: Render) -> anyhow::Result<()> {
         report.viewing(&view.url);
         view::open(&view.url);
     }
-    let lookers = Lookers { view, tev: render.tev.clone() };
+    let lookers = Lookers { view, tev: render.tev.clone(), otlp: None };
     let (mut cluster, to_upload) = match render.backend {
         Backend::Here { threads } => {
             let compile = spawn_blocking(move || World::consume(scene));
@@ -137,7 +137,7 @@ impl Cluster {
         let (memory, shutdown) = (Memory::default(), CancellationToken::new());
         let incoming = memory.listen();
         let opened = open(config(render.state.clone())).await?;
-        let page = lookers.show(&opened);
+        let page = lookers.show(&opened)?;
         let closing = shutdown.clone();
         let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
         let scenes = Arc::new(SceneCache::default());
@@ -168,7 +168,7 @@ impl Cluster {
         let address = listener.local_addr()?.to_string();
         let (shutdown, connector) = (CancellationToken::new(), Connector::tcp(&address)?);
         let opened = open(config(state)).await?;
-        let page = lookers.show(&opened);
+        let page = lookers.show(&opened)?;
         let closing = shutdown.clone();
         let incoming = tcp_incoming(listener);
         let coordinator = tokio::spawn(async move { Ok(opened.serve(incoming, closing.cancelled()).await?) });
@@ -191,7 +191,8 @@ impl Cluster {
         }
         let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
         let samples = vec![ready.samples.clone()];
-        let job = JobSpec { scene, settings, tile: render.tile, samples, name: String::new(), workers_hold_scene };
+        let job =
+            JobSpec { scene, settings, tile: render.tile, samples, name: String::new(), workers_hold_scene, aim: None };
         let mut line = Line::new(&client, ready, &render.output, stop, async || self.news().await);
         line.keep = render.state.is_some();
         follow(line, render.goal, job, report).await

@@ -158,6 +158,7 @@ async fn measure(client: &Client, scene: &Arc<Scene>, ready: &Ready, workers: Op
             samples: std::iter::once(0..spp).collect(),
             name,
             workers_hold_scene: false,
+            aim: None,
         }
     };
     // All must have worked before: who comes late has its scene compiled in the time that is measured.
@@ -304,6 +305,7 @@ fn spec(ready: &Ready) -> JobSpec {
         samples: std::iter::once(0..ready.settings.spp).collect(),
         name: String::new(),
         workers_hold_scene: true,
+        aim: None,
     }
 }
 

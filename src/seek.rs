@@ -8,12 +8,12 @@ use crate::report::Report;
 use anyhow::{Context, bail};
 use std::ops::Range;
 use std::time::{Duration, Instant};
-use tilecast_coordinator::target::{Reached, Search};
+use tilecast_coordinator::target::{Reached, Search, Step};
 use tilecast_core::film::Film;
 use tilecast_core::film::file::{Head, Target};
 use tilecast_core::film::ranges::Ranges;
 use tilecast_core::settings::{SamplerKind, Settings};
-use tilecast_proto::types::JobSpec;
+use tilecast_proto::types::{Aim, JobSpec};
 
 /// When a render ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,13 +68,16 @@ async fn to_error(
         bail!("the numbers of --sampler sobol-z depend on the number of samples, which an error decides; take sobol");
     }
     let mut search = Search::new(&ready.settings, target)?;
-    let mut traced = 0.0;
-    while let Some(step) = search.step() {
-        report.expect(traced, step.expected);
-        let job =
-            JobSpec { settings: step.settings.clone(), tile: Some(step.tile), samples: step.samples, ..job.clone() };
-        let film = line.trace(Order { job, pilot: step.pilot }, report).await?;
-        traced += film.counts().iter().flatten().map(|&count| f64::from(count)).sum::<f64>();
+    let (mut before, mut image) = (0, 0);
+    while let Some(Step { pilot, settings, tile, samples, expected }) = search.step() {
+        report.expect(before as f64, expected);
+        let expected = expected.map_or(0, |samples| samples as u64);
+        let aim = Some(Aim { target: Some(target), pilot, before, image, expected });
+        let job = JobSpec { settings, tile: Some(tile), samples, aim, ..job.clone() };
+        let film = line.trace(Order { job, pilot }, report).await?;
+        let traced: u64 = film.counts().iter().flatten().map(|&count| u64::from(count)).sum();
+        before += traced;
+        image += if pilot { 0 } else { traced };
         search.take(film);
     }
     let Reached { film, tiles, settings, .. } = search.reached().context("the search ended without an image")?;
@@ -97,11 +100,14 @@ async fn to_time(
     let begun = Instant::now();
     let pixels = ready.settings.film.crop.area() as f64;
     let (mut film, mut done, mut next): (Option<Film>, u32, u32) = (None, 0, TIMED_FIRST);
+    let mut expected = 0.0;
     loop {
         let settings = Settings { spp: next, ..ready.settings.clone() };
         let range: Range<u32> = done..next;
         let step_begun = Instant::now();
-        let job = JobSpec { settings: settings.clone(), samples: vec![range], ..job.clone() };
+        let before = pixels as u64 * u64::from(done);
+        let aim = Some(Aim { target: None, pilot: false, before, image: before, expected: expected as u64 });
+        let job = JobSpec { settings: settings.clone(), samples: vec![range], aim, ..job.clone() };
         let more = line.trace(Order { job, pilot: false }, report).await?;
         let seconds_each = step_begun.elapsed().as_secs_f64() / f64::from(next - done);
         let all = match film.take() {
@@ -121,7 +127,8 @@ async fn to_time(
             return Ok(Kept::even(settings, ready.blobs.digest, all, &samples));
         }
         next = done.saturating_add(more);
-        report.expect(pixels * f64::from(done), Some(pixels * (f64::from(done) + TIMED_AIM * left / seconds_each)));
+        expected = pixels * (f64::from(done) + TIMED_AIM * left / seconds_each);
+        report.expect(pixels * f64::from(done), Some(expected));
         film = Some(all);
     }
 }

@@ -1,4 +1,4 @@
-//! Looking on: where the live page is served, and how people get to see it; the viewer that tiles are sent to.
+//! Looking on: where the live page is served, and how people get to see it; the viewer and the collector that are sent to.
 
 use crate::flags::Usage;
 use anyhow::Context;
@@ -15,11 +15,16 @@ pub struct Lookers {
     pub view: Option<View>,
     /// tev's address, HOST:PORT.
     pub tev: Option<String>,
+    /// A collector's, `http://HOST:PORT`.
+    pub otlp: Option<String>,
 }
 
 impl Lookers {
     /// Shows what there is to see of a coordinator.
-    pub fn show(self, coordinator: &Coordinator) -> Page {
+    ///
+    /// # Errors
+    /// A collector's address that is none.
+    pub fn show(self, coordinator: &Coordinator) -> anyhow::Result<Page> {
         let mut page = Page::default();
         if let Some(View { listener, title, .. }) = self.view {
             let site = coordinator.site(title);
@@ -32,7 +37,14 @@ impl Lookers {
                 Ok(())
             }));
         }
-        page
+        if let Some(endpoint) = self.otlp {
+            let otlp = coordinator.otlp(endpoint.clone()).with_context(|| format!("--otlp {endpoint}"))?;
+            page.0.push(tokio::spawn(async move {
+                otlp.run().await;
+                Ok(())
+            }));
+        }
+        Ok(page)
     }
 }
 

@@ -21,7 +21,7 @@ mod watch;
 use crate::plan::{Plan, PlanError};
 use audit::Contributor;
 use job::{Job, UnitKey};
-pub use report::{News, OpenUnits, Point, Totals, Trust};
+pub use report::{Lent, News, OpenUnits, Point, Totals, Trust};
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
@@ -133,6 +133,9 @@ struct Worker {
 struct Held {
     job: JobId,
     unit: UnitKey,
+    /// Behind its last sample.
+    end: u32,
+    since: Duration,
     deadline: Duration,
     /// It was done before, and is done again to see whether the bits agree.
     audit: bool,
@@ -300,7 +303,8 @@ impl Ledger {
                     open.leases.push((id, fence));
                 }
                 job.lent_to(now, id, &worker.info);
-                worker.leases.insert(fence, Held { job: job_id, unit: key, deadline: now + LEASE_SILENCE, audit });
+                let (end, deadline) = (unit.samples.end, now + LEASE_SILENCE);
+                worker.leases.insert(fence, Held { job: job_id, unit: key, end, since: now, deadline, audit });
                 // One that came back may be larger than what would be cut now: it takes a slot none the less.
                 given += (unit.len() as f64 / size as f64).min(1.0);
                 reply.unit_samples = size;

@@ -12,6 +12,7 @@ pub mod films;
 pub mod http;
 pub mod incoming;
 pub mod ledger;
+pub mod otlp;
 mod pace;
 pub mod plan;
 pub mod scaling;
@@ -122,6 +123,14 @@ impl Coordinator {
     /// Sends its images to a viewer at `address`, HOST:PORT, beside [`Coordinator::serve`].
     pub fn tev(&self, address: String) -> tev::Tev {
         tev::Tev::new(Arc::clone(&self.shared), address)
+    }
+
+    /// Sends traces of its units to a collector at `endpoint`, `http://HOST:PORT`, beside [`Coordinator::serve`].
+    ///
+    /// # Errors
+    /// An endpoint that is none.
+    pub fn otlp(&self, endpoint: String) -> Result<otlp::Otlp, otlp::EndpointError> {
+        otlp::Otlp::new(Arc::clone(&self.shared), endpoint)
     }
 
     /// Serves until `shutdown` ends. Connections come from a TCP listener ([`transport::tcp_incoming`]) or from memory

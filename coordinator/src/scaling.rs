@@ -155,6 +155,7 @@ pub fn simulate(spec: &JobSpec, workers: u32, costs: &Costs) -> Option<Simulated
                     unit: lease.unit,
                     key,
                     trace: now(trace),
+                    waited: Duration::ZERO,
                     bytes: 0,
                 };
                 worker.bringing.push(header.fence);
@@ -319,6 +320,7 @@ mod tests {
             samples: std::iter::once(0..spp).collect(),
             name: String::new(),
             workers_hold_scene: true,
+            aim: None,
         }
     }
 

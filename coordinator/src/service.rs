@@ -9,12 +9,14 @@ use crate::blobs::Blobs;
 use crate::events::{About, Events, Kind};
 use crate::films::Films;
 use crate::ledger::{Ledger, LedgerError, News, Policy};
+use crate::otlp::Told;
+use crate::otlp::way::{Outcome, Step, Way};
 use crate::store::{Broken, KeptJob, Store, StoreError};
 use bytes::Bytes;
 use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
 use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use tilecast_core::film::sums;
 use tilecast_core::scene::Digest;
@@ -51,6 +53,8 @@ pub(crate) struct Shared {
     pub(crate) closing: CancellationToken,
     pub(crate) events: Events,
     pub(crate) traffic: Traffic,
+    /// Where the ways of units are told, if someone wants to know.
+    pub(crate) told: OnceLock<Arc<Told>>,
     /// Tells this coordinator from the one before it at the same address.
     pub(crate) instance: u64,
 }
@@ -90,6 +94,7 @@ impl Shared {
             closing: CancellationToken::new(),
             events: Events::default(),
             traffic: Traffic::default(),
+            told: OnceLock::new(),
             instance: RandomState::new().hash_one(config.epoch),
         };
         if let Some(found) = recovered {
@@ -195,12 +200,14 @@ impl Shared {
     }
 
     /// Checks, counts and merges a result. Decoding and adding take a few milliseconds: not for an async thread.
-    pub(crate) fn merge(&self, header: &ResultHeader, bytes: Bytes) -> Result<Verdict, Status> {
+    pub(crate) fn merge(&self, header: &ResultHeader, bytes: Bytes, mut way: Way) -> Result<Verdict, Status> {
         let begun = Instant::now();
         let sums = match header.sums(&bytes) {
             Ok(sums) => sums,
             Err(error) => {
                 self.offence(header.worker, &error.to_string());
+                way.step(Step::Validate, self.now());
+                self.follow(way, Outcome::Failed(error.to_string()));
                 return Err(error.into());
             }
         };
@@ -210,6 +217,7 @@ impl Shared {
         let digest = compares.then(|| Digest::of(&sums::encode(&sums.pixels)));
         let (outcome, who) =
             self.with_ledger(|ledger, now| (ledger.accept(now, header, digest), ledger.contributor(header.worker)));
+        way.step(Step::Validate, self.now());
         for &liar in &outcome.convicted {
             let text = format!(
                 "the sums of the worker with instance {liar} are not those of others; its units are done again"
@@ -230,6 +238,7 @@ impl Shared {
                     ledger.merge_took(job, begun.elapsed());
                     ledger.merged(now, job);
                 });
+                way.step(Step::Merge, self.now());
             } else {
                 self.with_ledger(|ledger, now| ledger.unmerged(now, &header.unit));
             }
@@ -240,7 +249,17 @@ impl Shared {
         if compares {
             self.work.notify_waiters();
         }
-        Ok(outcome.verdict.unwrap_or(Verdict::Stale))
+        let verdict = outcome.verdict.unwrap_or(Verdict::Stale);
+        self.follow(way, Outcome::Brought(verdict));
+        Ok(verdict)
+    }
+
+    /// The way of a lease has ended so.
+    fn follow(&self, mut way: Way, outcome: Outcome) {
+        if let Some(told) = self.told.get() {
+            way.outcome = Some(outcome);
+            told.tell(way);
+        }
     }
 
     /// A worker brought what makes no sense.
@@ -295,8 +314,11 @@ impl Shared {
                 );
             }
             News::Lapsed { worker, leases } => {
-                let text = format!("{leases} units of worker {} are given to others", number(worker));
+                let text = format!("{} units of worker {} are given to others", leases.len(), number(worker));
                 self.tell(Kind::LeasesLapsed, worker, text);
+                for lent in leases {
+                    self.follow(Way::lost(self.now(), lent), Outcome::Lapsed);
+                }
             }
             News::SetAside { job, why } => {
                 self.tell(Kind::UnitSetAside, job, format!("a unit of job {job} is set aside: {why}"));

@@ -6,6 +6,7 @@
 //! crashes, whose journal is torn anywhere in what was not synced, and that is started again; pauses of the whole process;
 //! snapshots at any time; and, with checks, a worker that lies.
 
+use crate::otlp::way::Way;
 use crate::store::tests::{JOB, Session, expected, job_key, traced};
 use crate::{Config, disk::Disk};
 use bytes::Bytes;
@@ -215,6 +216,7 @@ impl<'a> Sim<'a> {
                 unit: lease.unit,
                 key: job_key(),
                 trace,
+                waited: Duration::ZERO,
                 bytes: bytes.len(),
             };
             let copies = match self.random.below(10) {
@@ -238,7 +240,8 @@ impl<'a> Sim<'a> {
             // As the service does: what is not wanted is not read.
             let wanted = self.session().0.with_ledger(|ledger, _| ledger.verdict(&header)) == Verdict::Accepted;
             if wanted {
-                self.session().0.merge(&header, bytes).unwrap();
+                let way = Way::brought(Duration::ZERO, &header, None);
+                self.session().0.merge(&header, bytes, way).unwrap();
             }
         }
     }

@@ -13,6 +13,7 @@ use crate::version::{Version, VersionMismatch};
 use crate::wire;
 use prost::Message;
 use std::ops::RangeInclusive;
+use std::time::Duration;
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::{FILM_SIDE_MAX, Settings, SettingsError, Window};
 
@@ -62,6 +63,14 @@ pub enum WireError {
         field: &'static str,
         /// What it is.
         value: i32,
+    },
+    /// An error that is none.
+    #[error("{field} is {value}; an error is a number from 0 on")]
+    NotAnError {
+        /// Which.
+        field: &'static str,
+        /// What it is.
+        value: f32,
     },
     /// A rectangle that is empty, inside out or too large.
     #[error("{field} is the rectangle {window:?}, which is empty or too large")]
@@ -203,6 +212,10 @@ fn at_most(len: usize, max: usize, field: &'static str) -> Result<(), WireError>
 
 fn text(text: String, max: usize, field: &'static str) -> Result<String, WireError> {
     at_most(text.len(), max, field).map(|()| text)
+}
+
+fn micros(duration: Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]

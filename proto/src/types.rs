@@ -4,6 +4,7 @@ use std::fmt;
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
+use tilecast_core::film::file::Target;
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::{Settings, Window};
 
@@ -131,6 +132,8 @@ pub struct ResultHeader {
     pub key: Digest,
     /// Time spent tracing on one thread.
     pub trace: Duration,
+    /// Since then, until it was sent.
+    pub waited: Duration,
     /// Length of the encoded sums.
     pub bytes: usize,
 }
@@ -206,6 +209,23 @@ pub struct JobSpec {
     pub name: String,
     /// The workers have the scene already (they live in the client's process): the blobs need not be there.
     pub workers_hold_scene: bool,
+    /// What it is a step towards, if it is not the whole.
+    pub aim: Option<Aim>,
+}
+
+/// An image that takes several jobs, for whoever looks on. Samples are counted over all pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Aim {
+    /// The error at which it is done, if that is how it ends.
+    pub target: Option<Target>,
+    /// The job's samples are no part of the image.
+    pub pilot: bool,
+    /// Traced in the jobs before, pilots included.
+    pub before: u64,
+    /// Those of them that are part of the image.
+    pub image: u64,
+    /// Traced in the end, pilots included; 0 while nothing can be said.
+    pub expected: u64,
 }
 
 /// Where a job stands.

@@ -43,6 +43,9 @@ pub struct CoordinatorFlags {
     /// Sends images as they converge to the viewer tev there [default port: 14158]
     #[arg(long, value_name = "HOST:PORT", value_parser = values::tev)]
     tev: Option<String>,
+    /// Sends traces of every unit, from lease to merge, to the OpenTelemetry collector there, by gRPC [default port: 4317]
+    #[arg(long, value_name = "HOST:PORT", value_parser = values::otlp)]
+    otlp: Option<String>,
     /// Keeps jobs and images in the making in this folder: whatever ends the coordinator, the next one goes on
     #[arg(long, value_name = "DIR")]
     state: Option<PathBuf>,
@@ -135,9 +138,9 @@ pub enum CertsCommand {
 
 impl CoordinatorFlags {
     pub fn ready(self) -> anyhow::Result<Coordinator> {
-        let Self { listen, http, tev, state, verify, guard, log, style } = self;
+        let Self { listen, http, tev, otlp, state, verify, guard, log, style } = self;
         let (verify, security) = (verify.unwrap_or(0.0), guard.ready()?);
-        Ok(Coordinator { listen, http, tev, state, verify, security, style: style.ready(), log: log.log_format })
+        Ok(Coordinator { listen, http, tev, otlp, state, verify, security, style: style.ready(), log: log.log_format })
     }
 }
 

@@ -218,3 +218,17 @@ pub fn tev(text: &str) -> Result<String, String> {
         _ => Err("write HOST or HOST:PORT".into()),
     }
 }
+
+/// Where a collector of traces listens, as an address of gRPC.
+pub fn otlp(text: &str) -> Result<String, String> {
+    let host = match text.split_once("://") {
+        None => text,
+        Some(("http", host)) => host.trim_end_matches('/'),
+        Some(_) => return Err("write HOST, HOST:PORT or http://HOST:PORT; for TLS run a collector beside it".into()),
+    };
+    match host.rsplit_once(':') {
+        Some((name, port)) if !name.is_empty() && port.parse::<u16>().is_ok() => Ok(format!("http://{host}")),
+        None if !host.is_empty() => Ok(format!("http://{host}:{}", tilecast_coordinator::otlp::PORT)),
+        _ => Err("write HOST, HOST:PORT or http://HOST:PORT".into()),
+    }
+}

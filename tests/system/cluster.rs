@@ -93,6 +93,7 @@ pub fn job() -> JobSpec {
         tile: Some(16),
         name: "triangle".into(),
         workers_hold_scene: false,
+        aim: None,
     }
 }
 
@@ -411,8 +412,15 @@ async fn a_result_that_is_none_is_refused_and_the_unit_done_again() {
     let lease = work.lease(request).await.unwrap().into_inner().leases.remove(0);
     let key = tilecast_proto::convert::work_key(&job().scene, &settings());
     let send = |bytes: u64, data: Vec<u8>, key: Vec<u8>| {
-        let header =
-            wire::ResultHeader { worker, fence: lease.fence, unit: lease.unit, key: key.into(), trace_us: 1, bytes };
+        let header = wire::ResultHeader {
+            worker,
+            fence: lease.fence,
+            unit: lease.unit,
+            key: key.into(),
+            trace_us: 1,
+            bytes,
+            waited_us: 0,
+        };
         let mut work = work.clone();
         async move {
             let chunk = wire::ResultChunk { header: Some(header), data: data.into() };

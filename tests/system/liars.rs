@@ -58,6 +58,7 @@ async fn work(memory: Memory, tracer: Arc<Tracer>, instance: u64, lies: bool) ->
                     worker: WorkerId(worker),
                     fence: lease.fence,
                     trace: Duration::from_secs_f64(unit.len() as f64 / CLAIMED_RATE),
+                    waited: Duration::ZERO,
                     unit,
                     key,
                     bytes: data.len(),

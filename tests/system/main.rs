@@ -34,6 +34,8 @@ mod launch;
 /// Workers that bring wrong sums on purpose.
 #[cfg(test)]
 mod liars;
+/// Traces of units, for a collector.
+mod otlp;
 /// README and docs: their commands run, their flags exist.
 #[cfg(target_os = "linux")]
 mod pages;

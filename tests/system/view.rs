@@ -284,7 +284,15 @@ async fn serve(config: Config) -> (String, String) {
 fn waiting() -> JobSpec {
     let settings = settings();
     let samples = std::iter::once(0..settings.spp).collect();
-    JobSpec { scene: Digest([7; 32]), settings, tile: None, samples, name: "box".into(), workers_hold_scene: true }
+    JobSpec {
+        scene: Digest([7; 32]),
+        settings,
+        tile: None,
+        samples,
+        name: "box".into(),
+        workers_hold_scene: true,
+        aim: None,
+    }
 }
 
 /// Every path, for everyone. Planted faults: a route without its layer, a role that is not looked at.

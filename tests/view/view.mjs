@@ -57,7 +57,7 @@ async function run() {
   const worker = (name) => start("worker", "--connect", address, "--threads", "1", "--name", name);
   let alpha = worker("alpha");
   worker("beta");
-  const submit = (spp, ...more) => start("submit", scene, "--json", "--connect", address, "--size", "320x320", "--spp", spp, ...more);
+  const submit = (spp, ...more) => start("submit", scene, "--json", "--connect", address, "--size", "320x320", ...(spp ? ["--spp", spp] : []), ...more);
   const job = submit("1000");
 
   const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ["--no-sandbox"] });
@@ -185,6 +185,16 @@ async function run() {
   assert.equal(await job.over, 0, job.said);
   await until("its end on the page", async () => /100 %, finished/.test(await text("done")) || page.selectOption("#job", "1").then(() => false));
   step("the first job is finished and written");
+
+  const seeking = submit(null, "--target-error", "0.02", "-o", "third.exr");
+  // A page that nobody has chosen a job on goes from step to step.
+  await page.reload();
+  await until("a step of an image with a target", async () => (await text("goalname")) === "Target");
+  assert.deepEqual([await text("goal"), await text("goalspp")], ["2 %", "of the whole image"]);
+  const near = await until("an error near the target", async () => parseFloat(await text("error")) < 4 && text("error"));
+  await keep("target");
+  assert.equal(await seeking.over, 0, seeking.said);
+  step(`an image with a target error of 2 % gets there: ${near} on the way`);
 
   const bytes = [...sizes.values()].reduce((a, b) => a + b, 0);
   assert(bytes <= 300_000, `${bytes} bytes`);

@@ -7,6 +7,7 @@ use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::scene::Digest;
 use tilecast_core::trace::Tracer;
@@ -37,6 +38,7 @@ struct Held {
     /// Leased in the session that goes on.
     current: bool,
     flags: Arc<Flags>,
+    traced_at: Option<Instant>,
     stage: Stage,
 }
 
@@ -94,7 +96,8 @@ impl Bench {
         let ticket = self.next_ticket;
         self.next_ticket += 1;
         let flags = Arc::default();
-        self.held.insert(ticket, Held { fence, unit, key, current: true, flags, stage: Stage::Waiting });
+        let held = Held { fence, unit, key, current: true, flags, traced_at: None, stage: Stage::Waiting };
+        self.held.insert(ticket, held);
         if let Some(tracer) = tracer {
             self.start(ticket, tracer);
         }
@@ -115,14 +118,15 @@ impl Bench {
     }
 
     /// A unit left the pool. A failure is given back to be reported, if its lease is of the session that goes on.
-    pub fn traced(&mut self, Traced { ticket, result }: Traced) -> Option<(Fence, JobId, Failure)> {
+    pub fn traced(&mut self, Traced { ticket, at, result }: Traced) -> Option<(Fence, JobId, Failure)> {
         match result {
             Ok(Some((bytes, trace))) => {
                 if let Some(held) = self.held.get_mut(&ticket) {
                     self.samples += held.unit.len();
                     let (fence, unit, key) = (held.fence, held.unit.clone(), held.key);
-                    let worker = WorkerId(0);
-                    let header = ResultHeader { worker, fence, unit, key, trace, bytes: bytes.len() };
+                    let (worker, waited) = (WorkerId(0), Duration::ZERO);
+                    let header = ResultHeader { worker, fence, unit, key, trace, waited, bytes: bytes.len() };
+                    held.traced_at = Some(at);
                     held.stage = Stage::Traced(header, bytes.into());
                 }
                 None
@@ -139,11 +143,12 @@ impl Bench {
     }
 
     /// The next result to bring; it is kept until [`Bench::settle`].
-    pub fn next_result(&mut self, worker: WorkerId) -> Option<(Ticket, ResultHeader, Bytes)> {
+    pub fn next_result(&mut self, now: Instant, worker: WorkerId) -> Option<(Ticket, ResultHeader, Bytes)> {
         let (&ticket, held) = self.held.iter_mut().find(|(_, held)| matches!(held.stage, Stage::Traced(..)))?;
         let stage = std::mem::replace(&mut held.stage, Stage::Tracing);
         let Stage::Traced(header, bytes) = stage else { return None };
-        let header = ResultHeader { worker, ..header };
+        let waited = held.traced_at.map_or(Duration::ZERO, |at| now.saturating_duration_since(at));
+        let header = ResultHeader { worker, waited, ..header };
         held.stage = Stage::Sending(header.clone(), bytes.clone());
         Some((ticket, header, bytes))
     }
@@ -273,19 +278,21 @@ mod tests {
         bench.take(lease(1), KEY, Some(&tracer));
         bench.take(lease(2), KEY, None);
         assert_eq!(bench.traced(traced.recv().await.unwrap()), None);
-        let (_, sent, bytes) = bench.next_result(WorkerId(1)).unwrap();
+        let (_, sent, bytes) = bench.next_result(Instant::now(), WorkerId(1)).unwrap();
         assert_eq!((sent.worker, sent.fence, sent.key, sent.bytes), (WorkerId(1), Fence(1), KEY, bytes.len()));
         assert!(sent.sums(&bytes).is_ok());
-        assert_eq!(bench.next_result(WorkerId(1)), None, "sent twice");
+        assert_eq!(bench.next_result(Instant::now(), WorkerId(1)), None, "sent twice");
         bench.begin_session();
-        let (ticket, again, bytes_again) = bench.next_result(WorkerId(9)).unwrap();
+        let later = Instant::now() + Duration::from_secs(9);
+        let (ticket, again, bytes_again) = bench.next_result(later, WorkerId(9)).unwrap();
         assert_eq!((again.worker, again.unit, bytes_again), (WorkerId(9), sent.unit, bytes));
+        assert!(again.waited >= Duration::from_secs(9), "it says how long it waited: {:?}", again.waited);
         // The one that was not begun is another's now, and neither is renewed.
         bench.start_job(JobId(1), &tracer);
         assert_eq!(bench.fences(), []);
         bench.settle(ticket);
         bench.begin_session();
-        assert_eq!(bench.next_result(WorkerId(9)), None);
+        assert_eq!(bench.next_result(Instant::now(), WorkerId(9)), None);
     }
 
     #[tokio::test]

@@ -33,6 +33,8 @@ pub(crate) struct Flags {
 #[derive(Debug)]
 pub(crate) struct Traced {
     pub ticket: Ticket,
+    /// When it did.
+    pub at: Instant,
     /// The encoded sums and the time it took; `None` if it was told to stop.
     pub result: Result<Option<(Vec<u8>, Duration)>, Failure>,
 }
@@ -58,7 +60,7 @@ impl Pool {
                 Err(Failure::Panic(format!("the tracer panicked over samples {samples:?} of {tile:?}: {text}")))
             });
             // Nobody listens any more when the worker has ended.
-            let _ = results.send(Traced { ticket, result });
+            let _ = results.send(Traced { ticket, at: Instant::now(), result });
         });
     }
 

@@ -11,7 +11,7 @@ use bytes::Bytes;
 use std::collections::{BTreeMap, VecDeque};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tilecast_core::scene::Digest;
 use tilecast_core::trace::Tracer;
 use tilecast_proto::client::{call, chunks};
@@ -162,7 +162,7 @@ impl Session {
             self.calls.spawn(lease(self.work.clone(), request));
         }
         while self.submitting < SUBMITS_MAX
-            && let Some((ticket, header, bytes)) = bench.next_result(self.worker)
+            && let Some((ticket, header, bytes)) = bench.next_result(Instant::now(), self.worker)
         {
             self.submitting += 1;
             self.calls.spawn(submit(self.work.clone(), ticket, header, bytes));

@@ -15,7 +15,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
-use tilecast_proto::types::{JobId, JobState, Progress, WorkerStatus};
+use tilecast_core::film::file::Target;
+use tilecast_proto::types::{Aim, JobId, JobState, Progress, WorkerStatus};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
@@ -79,6 +80,30 @@ struct Job {
     height: u32,
     spp: u32,
     seed: u64,
+    aim: Option<Towards>,
+}
+
+/// See [`Aim`].
+#[derive(Serialize)]
+struct Towards {
+    target: Option<f32>,
+    /// What the target is of: `image` or `pixels`.
+    of: &'static str,
+    pilot: bool,
+    before: u64,
+    image: u64,
+    expected: u64,
+}
+
+impl From<Aim> for Towards {
+    fn from(Aim { target, pilot, before, image, expected }: Aim) -> Self {
+        let (target, of) = match target {
+            None => (None, "image"),
+            Some(Target::Image(error)) => (Some(error), "image"),
+            Some(Target::Pixels(error)) => (Some(error), "pixels"),
+        };
+        Self { target, of, pilot, before, image, expected }
+    }
 }
 
 #[derive(Serialize)]
@@ -209,25 +234,32 @@ fn state(site: &Inner) -> String {
     })
 }
 
-/// A job with its speed, and when it was submitted.
-type Shown = (Progress, f64, Duration);
+/// A job, and what its progress does not say.
+struct Shown {
+    progress: Progress,
+    speed: f64,
+    submitted: Duration,
+    left: u64,
+    aim: Option<Aim>,
+}
 
 /// The jobs that are shown, newest first.
 fn jobs(ledger: &Ledger, now: Duration) -> (Vec<Shown>, usize) {
     let all = ledger.jobs();
     let (going, ended): (Vec<JobId>, Vec<JobId>) = all.iter().partition(|&&id| ledger.goes_on(id));
     let shown = going.iter().chain(ended.iter().rev()).take(JOBS_SHOWN_MAX);
-    let mut jobs: Vec<Shown> = shown
-        .filter_map(|&id| Some((ledger.progress(now, id).ok()?, ledger.speed(id), ledger.queued_at(id)?)))
-        .collect();
-    jobs.sort_by_key(|(progress, ..)| std::cmp::Reverse(progress.job));
+    let describe = |&id: &JobId| {
+        let (progress, submitted) = (ledger.progress(now, id).ok()?, ledger.queued_at(id)?);
+        Some(Shown { progress, speed: ledger.speed(id), submitted, left: ledger.left(id), aim: ledger.aim(id) })
+    };
+    let mut jobs: Vec<Shown> = shown.filter_map(describe).collect();
+    jobs.sort_by_key(|job| std::cmp::Reverse(job.progress.job));
     (jobs, all.len())
 }
 
-fn row(shared: &Shared, (progress, speed, submitted): Shown) -> Job {
+fn row(shared: &Shared, Shown { progress, speed, submitted, left, aim }: Shown) -> Job {
     let state = state_name(&progress.state);
     let why = if let JobState::Failed(why) = progress.state { Some(why) } else { None };
-    let left = progress.samples_total.saturating_sub(progress.samples_done);
     let crop = progress.settings.film.crop;
     Job {
         id: progress.job.0,
@@ -249,6 +281,7 @@ fn row(shared: &Shared, (progress, speed, submitted): Shown) -> Job {
         height: crop.height(),
         spp: progress.settings.spp,
         seed: progress.settings.seed,
+        aim: aim.map(Into::into),
     }
 }
 

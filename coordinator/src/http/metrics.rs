@@ -12,6 +12,7 @@ use prometheus::{CounterVec, Encoder, GaugeVec, Opts, Registry, TextEncoder};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
+use tilecast_core::film::file::Target;
 use tilecast_proto::types::{Progress, WorkerStatus};
 
 /// Workers with lines of their own: a monitor keeps every line for weeks.
@@ -25,7 +26,7 @@ enum Kind {
 }
 
 /// Name, kind, labels and meaning. Counters begin anew with the coordinator.
-const METRICS: [(&str, Kind, &[&str], &str); 25] = [
+const METRICS: [(&str, Kind, &[&str], &str); 27] = [
     ("tilecast_build_info", Kind::Gauge, &["version"], "1, with the coordinator's version"),
     ("tilecast_samples_total", Kind::Counter, &[], "Samples counted"),
     ("tilecast_samples_per_second", Kind::Gauge, &[], "What all workers together trace, as last measured"),
@@ -44,13 +45,19 @@ const METRICS: [(&str, Kind, &[&str], &str); 25] = [
         "tilecast_job_error_ratio",
         Kind::Gauge,
         &["job", "name"],
-        "Estimated relative error of its image, after the last round",
+        "Estimated relative error of what it traces, after the last round",
+    ),
+    (
+        "tilecast_job_target_ratio",
+        Kind::Gauge,
+        &["job", "name"],
+        "The error that its image is to have, if it ends at one",
     ),
     (
         "tilecast_job_left_seconds",
         Kind::Gauge,
         &["job", "name"],
-        "Time until it is done at the speed of those who work on it",
+        "Time until its image is done at the speed of those who work on it",
     ),
     ("tilecast_workers", Kind::Gauge, &[], "Workers that are there"),
     ("tilecast_threads", Kind::Gauge, &[], "Threads of all of them"),
@@ -66,6 +73,7 @@ const METRICS: [(&str, Kind, &[&str], &str); 25] = [
     ("tilecast_worker_silent_seconds", Kind::Gauge, &["worker", "name", "host"], "Time since it was heard"),
     ("tilecast_events_total", Kind::Counter, &["kind"], "Events, by kind, as in the log"),
     ("tilecast_watchers", Kind::Gauge, &[], "Open pages"),
+    ("tilecast_traces_total", Kind::Counter, &["outcome"], "Traces of units that the collector took, or did not"),
 ];
 
 /// Values by name and labels.
@@ -98,6 +106,10 @@ fn values(site: &Inner) -> Values {
     put("tilecast_scene_bytes_total", &["out"], traffic.scenes_out.load(Relaxed) as f64);
     put("tilecast_film_bytes", &[], shared.films.bytes() as f64);
     put("tilecast_watchers", &[], site.feed.watchers() as f64);
+    if let Some(told) = shared.told.get() {
+        put("tilecast_traces_total", &["sent"], told.sent.load(Relaxed) as f64);
+        put("tilecast_traces_total", &["dropped"], told.dropped.load(Relaxed) as f64);
+    }
     for (kind, count) in shared.events.counts() {
         put("tilecast_events_total", &[kind.name()], count as f64);
     }
@@ -130,9 +142,12 @@ fn jobs(ledger: &Ledger, now: Duration, values: &mut Values) {
         if let Some(error) = job.relative_error {
             put("tilecast_job_error_ratio", f64::from(error.value));
         }
+        if let Some(Target::Image(target) | Target::Pixels(target)) = ledger.aim(job.job).and_then(|aim| aim.target) {
+            put("tilecast_job_target_ratio", f64::from(target));
+        }
         let speed = ledger.speed(job.job);
         if speed > 0.0 {
-            put("tilecast_job_left_seconds", job.samples_total.saturating_sub(job.samples_done) as f64 / speed);
+            put("tilecast_job_left_seconds", ledger.left(job.job) as f64 / speed);
         }
     }
 }

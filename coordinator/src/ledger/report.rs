@@ -1,10 +1,10 @@
 //! What the ledger tells people: jobs and workers as they stand. Nothing changes here.
 
 use super::audit::NEWCOMER_UNITS;
-use super::{Ledger, LedgerError, Worker};
+use super::{Held, Ledger, LedgerError, Worker};
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
-use tilecast_proto::types::{Contribution, JobId, Progress, WorkerId, WorkerInfo, WorkerStatus};
+use tilecast_proto::types::{Aim, Contribution, Fence, JobId, Progress, Unit, WorkerId, WorkerInfo, WorkerStatus};
 
 /// Something that nobody asked for, and people may want to know.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,8 +20,8 @@ pub enum News {
     Lapsed {
         /// Whose.
         worker: WorkerId,
-        /// How many.
-        leases: usize,
+        /// As they were.
+        leases: Vec<Lent>,
     },
     /// A unit is not given to anyone any more.
     SetAside {
@@ -30,6 +30,21 @@ pub enum News {
         /// For this reason.
         why: String,
     },
+}
+
+/// A lease that someone has.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Lent {
+    /// Who.
+    pub worker: WorkerId,
+    /// What it is called; may be empty.
+    pub name: String,
+    /// Which.
+    pub fence: Fence,
+    /// Of what.
+    pub unit: Unit,
+    /// Since when.
+    pub since: Duration,
 }
 
 /// What has happened since the ledger was made.
@@ -112,6 +127,18 @@ impl Ledger {
         self.jobs.get(&id).map(|job| job.queued_at)
     }
 
+    /// What a job is a step towards, if it is not the whole.
+    pub fn aim(&self, id: JobId) -> Option<Aim> {
+        self.jobs.get(&id)?.spec.aim
+    }
+
+    /// Samples that are left of a job, and of the image that it is a step towards as far as its end is known.
+    pub fn left(&self, id: JobId) -> u64 {
+        let Some(job) = self.jobs.get(&id) else { return 0 };
+        let aim = job.spec.aim.unwrap_or_default();
+        aim.expected.max(aim.before + job.samples_total) - aim.before - job.samples_done
+    }
+
     /// Samples a second that those who work on a job are good for, as last measured.
     pub fn speed(&self, id: JobId) -> f64 {
         let Some(job) = self.jobs.get(&id).filter(|job| !job.state.is_final()) else { return 0.0 };
@@ -160,6 +187,26 @@ impl Ledger {
             settings: job.spec.settings.clone(),
             merging: job.merge_time,
         })
+    }
+
+    /// The lease of this number, while the worker has it.
+    pub fn lease_of(&self, worker: WorkerId, fence: Fence) -> Option<Lent> {
+        let (worker_there, held) =
+            self.workers.get(&worker).and_then(|there| Some((there, there.leases.get(&fence)?)))?;
+        self.described(worker, worker_there, fence, held)
+    }
+
+    /// Those leases of a worker that `which` picks.
+    pub(super) fn lent(&self, id: WorkerId, which: impl Fn(&Fence, &Held) -> bool) -> Vec<Lent> {
+        let Some(worker) = self.workers.get(&id) else { return Vec::new() };
+        let picked = worker.leases.iter().filter(|(fence, held)| which(fence, held));
+        picked.filter_map(|(&fence, held)| self.described(id, worker, fence, held)).collect()
+    }
+
+    fn described(&self, id: WorkerId, worker: &Worker, fence: Fence, held: &Held) -> Option<Lent> {
+        let tile = self.jobs.get(&held.job)?.plan.tile(held.unit.tile);
+        let unit = Unit { job: held.job, tile, samples: held.unit.start..held.end };
+        Some(Lent { worker: id, name: worker.info.name.clone(), fence, unit, since: held.since })
     }
 
     /// Who has brought what of a job since this ledger was made.

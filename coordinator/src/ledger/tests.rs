@@ -32,6 +32,7 @@ fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
         tile: Some(16),
         name: String::new(),
         workers_hold_scene: false,
+        aim: None,
     }
 }
 
@@ -80,6 +81,7 @@ impl World {
             unit: lease.unit.clone(),
             key: work_key(&Digest([1; 32]), &settings),
             trace: Duration::from_millis(trace_ms),
+            waited: Duration::ZERO,
             bytes: 0,
         };
         let verdict = self.ledger.accept(self.now, &header, None).verdict.unwrap();
@@ -176,6 +178,7 @@ fn a_result_for_another_job_of_the_same_number_is_stale() {
         unit: lease.unit,
         key: Digest([9; 32]),
         trace: Duration::from_millis(1),
+        waited: Duration::ZERO,
         bytes: 0,
     };
     assert_eq!(world.ledger.accept(world.now, &header, None).verdict, Some(Verdict::Stale));
@@ -190,7 +193,15 @@ fn a_job_ends_when_the_last_sums_are_merged() {
     let leases = world.lease(worker, 9).unwrap();
     assert_eq!(leases.len(), 2);
     for Lease { fence, unit } in leases {
-        let header = ResultHeader { worker, fence, unit, key, trace: Duration::from_millis(1), bytes: 0 };
+        let header = ResultHeader {
+            worker,
+            fence,
+            unit,
+            key,
+            trace: Duration::from_millis(1),
+            waited: Duration::ZERO,
+            bytes: 0,
+        };
         assert_eq!(world.ledger.accept(world.now, &header, None).verdict, Some(Verdict::Accepted));
     }
     world.ledger.merged(world.now, JobId(1));
@@ -262,6 +273,7 @@ fn units_fit_the_worker_and_shrink_towards_the_end() {
                 key: work_key(&jobs[0].scene, &jobs[0].settings),
                 unit: lease.unit,
                 trace: Duration::from_millis(trace_ms),
+                waited: Duration::ZERO,
                 bytes: 0,
             };
             assert_eq!(world.ledger.accept(world.now, &header, None).verdict, Some(Verdict::Accepted));
@@ -397,7 +409,15 @@ fn ten_thousand_workers_keep_the_ledger_a_small_part_of_a_core_busy() {
             }
             if (i as u64 + tenth).is_multiple_of(50) {
                 let Lease { fence, unit } = held[i].remove(0);
-                let header = ResultHeader { worker, fence, unit, key, trace: Duration::from_secs(5), bytes: 0 };
+                let header = ResultHeader {
+                    worker,
+                    fence,
+                    unit,
+                    key,
+                    trace: Duration::from_secs(5),
+                    waited: Duration::ZERO,
+                    bytes: 0,
+                };
                 assert!(world.ledger.accept(world.now, &header, None).merge);
                 world.ledger.merged(world.now, JobId(1));
                 held[i].extend(world.lease(worker, 1).unwrap());

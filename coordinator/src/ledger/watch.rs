@@ -49,11 +49,12 @@ impl Ledger {
     pub fn expire(&mut self, now: Duration) -> bool {
         let mut any = false;
         for id in self.workers.keys().copied().collect::<Vec<_>>() {
+            let leases = self.lent(id, |_, held| held.deadline <= now);
             let lost = self.take_back(id, |_, held| held.deadline <= now);
             any |= !lost.is_empty();
             if !lost.is_empty() {
                 self.totals.leases_lost += lost.len() as u64;
-                self.news.push(News::Lapsed { worker: id, leases: lost.len() });
+                self.news.push(News::Lapsed { worker: id, leases });
             }
             // A lease that lapses while its worker is heard was never received: nobody died of it.
             if self.workers.get(&id).is_some_and(|worker| worker.heard_at + SILENCE_OF_THE_DEAD <= now) {

@@ -2,6 +2,7 @@
 
 use super::{Shared, called, lock, next, number, panicked};
 use crate::events::{About, Kind};
+use crate::otlp::way::{Outcome, Step, Way};
 use bytes::{Bytes, BytesMut};
 use std::sync::Arc;
 use std::sync::atomic::Ordering::Relaxed;
@@ -66,10 +67,11 @@ impl work_server::Work for Work {
         let header = first.header.ok_or(WireError::Missing("result.header"))?;
         let worker = WorkerId(header.worker);
         let header = ResultHeader::try_from(header).inspect_err(|error| self.0.offence(worker, &error.to_string()))?;
-        let (verdict, plausible) = {
+        let (verdict, plausible, lent) = {
             let ledger = lock(&self.0.ledger);
-            (ledger.verdict(&header), ledger.plausible(&header))
+            (ledger.verdict(&header), ledger.plausible(&header), ledger.lease_of(worker, header.fence))
         };
+        let mut way = Way::brought(self.0.now(), &header, lent);
         if !plausible {
             self.0.offence(worker, "a unit that its job does not have");
             return Err(Status::invalid_argument("the job has no such unit"));
@@ -79,6 +81,7 @@ impl work_server::Work for Work {
         }
         if verdict != Verdict::Accepted {
             // Told before the bulk has come.
+            self.0.follow(way, Outcome::Brought(verdict));
             return Ok(Response::new(verdict.into()));
         }
         let bytes = result_bytes(&header, first.data, &mut stream).await;
@@ -88,8 +91,9 @@ impl work_server::Work for Work {
             }
         })?;
         self.0.traffic.results.fetch_add(bytes.len() as u64, Relaxed);
+        way.step(Step::Transfer, self.0.now());
         let shared = Arc::clone(&self.0);
-        let merged = tokio::task::spawn_blocking(move || shared.merge(&header, bytes));
+        let merged = tokio::task::spawn_blocking(move || shared.merge(&header, bytes, way));
         Ok(Response::new(merged.await.map_err(panicked)??.into()))
     }
 
@@ -97,7 +101,14 @@ impl work_server::Work for Work {
         let (worker, fence, job, failure) = <(WorkerId, Fence, JobId, Failure)>::try_from(request.into_inner())?;
         let about = About { job: Some(job), worker: Some(worker) };
         self.0.tell(Kind::UnitFailed, about, format!("worker {} could not do a unit: {failure:?}", number(worker)));
-        self.0.with_ledger(|ledger, now| ledger.fail(now, worker, fence, failure))?;
+        let why = Outcome::Failed(format!("{failure:?}"));
+        let lent = self.0.with_ledger(|ledger, now| {
+            let lent = ledger.lease_of(worker, fence);
+            ledger.fail(now, worker, fence, failure).map(|()| lent)
+        })?;
+        if let Some(lent) = lent {
+            self.0.follow(Way::lost(self.0.now(), lent), why);
+        }
         self.0.work.notify_waiters();
         self.0.changed.notify_waiters();
         Ok(Response::new(FailReply {}))

@@ -3,6 +3,7 @@
 use super::*;
 use crate::disk::{Fault, Faults};
 use crate::ledger::tests::settings;
+use crate::otlp::way::Way;
 use crate::{Config, Coordinator};
 use std::sync::Arc;
 use tilecast_core::film::{PixelSums, TileSums, sums};
@@ -22,6 +23,7 @@ fn spec() -> JobSpec {
         tile: Some(16),
         name: "n".into(),
         workers_hold_scene: true,
+        aim: None,
     }
 }
 
@@ -99,9 +101,11 @@ impl Session {
                     key: job_key(),
                     unit: lease.unit,
                     trace: Duration::from_secs(1),
+                    waited: Duration::ZERO,
                     bytes: encoded.len(),
                 };
-                assert_eq!(self.0.merge(&header, encoded).unwrap(), Verdict::Accepted);
+                let way = Way::brought(Duration::ZERO, &header, None);
+                assert_eq!(self.0.merge(&header, encoded, way).unwrap(), Verdict::Accepted);
                 done += 1;
             }
         }

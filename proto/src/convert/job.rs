@@ -1,16 +1,22 @@
 //! What clients and coordinator say to each other, to and from the wire.
 
-use super::{WireError, at_most, digest, digest_bytes, text, window, within};
+use super::{WireError, at_most, digest, digest_bytes, micros, text, window, within};
 use crate::limits::{
     FAILURE_BYTES_MAX, FILM_CHUNK_PIXELS, FILM_PIXELS_MAX, NAME_BYTES_MAX, RANGES_MAX, THREADS_MAX, TILE_SIDE_MAX,
 };
 use crate::sums;
-use crate::types::{Contribution, FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus};
+use crate::types::{
+    Aim, Contribution, FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus,
+};
 use crate::wire;
 use std::ops::Range;
 use std::time::Duration;
+use tilecast_core::film::file::Target;
 use tilecast_core::film::{Film, PixelSums, REPLICATES, RelativeError};
 use tilecast_core::settings::{FILM_SIDE_MAX, Settings};
+
+/// Samples of an image, over all pixels: more than a thousand years of a thousand cores make.
+const SAMPLES_MAX: u64 = 1 << 60;
 
 impl TryFrom<wire::Job> for JobSpec {
     type Error = WireError;
@@ -27,7 +33,35 @@ impl TryFrom<wire::Job> for JobSpec {
             tile: (tile > 0).then_some(tile),
             name: text(message.name, NAME_BYTES_MAX, "job.name")?,
             workers_hold_scene: message.workers_hold_scene,
+            aim: message.aim.map(Aim::try_from).transpose()?,
         })
+    }
+}
+
+impl TryFrom<wire::Aim> for Aim {
+    type Error = WireError;
+
+    fn try_from(message: wire::Aim) -> Result<Self, WireError> {
+        let wire::Aim { error, pixels, pilot, before, image, expected } = message;
+        if !(error.is_finite() && error >= 0.0) {
+            return Err(WireError::NotAnError { field: "job.aim.error", value: error });
+        }
+        within(image, 0..=before, "job.aim.image")?;
+        within(before, 0..=SAMPLES_MAX, "job.aim.before")?;
+        within(expected, 0..=SAMPLES_MAX, "job.aim.expected")?;
+        let target = (error > 0.0).then_some(if pixels { Target::Pixels(error) } else { Target::Image(error) });
+        Ok(Self { target, pilot, before, image, expected })
+    }
+}
+
+impl From<Aim> for wire::Aim {
+    fn from(Aim { target, pilot, before, image, expected }: Aim) -> Self {
+        let (error, pixels) = match target {
+            None => (0.0, false),
+            Some(Target::Image(error)) => (error, false),
+            Some(Target::Pixels(error)) => (error, true),
+        };
+        Self { error, pixels, pilot, before, image, expected }
     }
 }
 
@@ -54,6 +88,7 @@ impl From<JobSpec> for wire::Job {
             tile: job.tile.unwrap_or(0),
             name: job.name,
             workers_hold_scene: job.workers_hold_scene,
+            aim: job.aim.map(Into::into),
         }
     }
 }
@@ -274,10 +309,6 @@ impl FilmParts {
         let FilmHeader { window, scale_exponent } = self.header;
         Film::from_parts(window, scale_exponent, self.sums, self.counts).ok_or(WireError::Unbounded)
     }
-}
-
-fn micros(duration: Duration) -> u64 {
-    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
 }
 
 fn millis(duration: Duration) -> u64 {

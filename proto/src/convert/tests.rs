@@ -1,10 +1,11 @@
 //! What is refused, and that what is sent comes back.
 
 use super::*;
-use crate::types::{Heartbeat, JobSpec, JobState, LeaseRequest, Progress, ResultHeader, WorkerInfo};
+use crate::types::{Aim, Heartbeat, JobSpec, JobState, LeaseRequest, Progress, ResultHeader, WorkerInfo};
 use crate::{sums, types};
 use proptest::prelude::*;
 use std::time::Duration;
+use tilecast_core::film::file::Target;
 use tilecast_core::film::{self, TileSums};
 use tilecast_core::settings::{
     Film, Filter, Half, Integrator, IntegratorKind, Offsets, SamplerKind, Strategy, Without,
@@ -115,6 +116,7 @@ fn hostile_sizes_are_refused() {
             tile: 0,
             name: String::new(),
             workers_hold_scene: false,
+            aim: None,
         })
     };
     let job = |settings: &Settings| ranged(settings, &[0], &[settings.spp]);
@@ -125,6 +127,17 @@ fn hostile_sizes_are_refused() {
     }
     assert_eq!(ranged(&settings(), &[0, 1], &[0, spp]).unwrap().samples, [0..0, 1..spp]);
     assert!(matches!(job(&huge), Err(WireError::Range { .. })));
+    let aim = wire::Aim { error: 0.02, pixels: true, pilot: true, before: 9, image: 4, expected: 100 };
+    let known = Aim::try_from(aim).unwrap();
+    assert_eq!((known.target, wire::Aim::from(known)), (Some(Target::Pixels(0.02)), aim));
+    for wrong in [
+        wire::Aim { error: f32::NAN, ..aim },
+        wire::Aim { error: -0.1, ..aim },
+        wire::Aim { image: 10, ..aim },
+        wire::Aim { expected: u64::MAX, ..aim },
+    ] {
+        assert!(Aim::try_from(wrong).is_err(), "{wrong:?}");
+    }
 }
 
 #[test]
@@ -136,9 +149,12 @@ fn a_result_is_checked_against_its_unit() {
         key: digest_bytes(&Digest([7; 32])),
         trace_us: 5,
         bytes,
+        waited_us: 6,
     };
     assert!(ResultHeader::try_from(header(1 << 30)).is_err());
-    let header = ResultHeader::try_from(header(24)).unwrap();
+    let wire = header(24);
+    let header = ResultHeader::try_from(wire.clone()).unwrap();
+    assert_eq!(wire::ResultHeader::from(header.clone()), wire);
     let mut tile = TileSums::new(header.unit.tile, header.unit.samples.clone());
     assert_eq!(header.sums(&sums::encode(&tile.pixels)), Ok(tile.clone()));
     tile.pixels[1].0[2][1] = i128::MAX;

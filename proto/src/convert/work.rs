@@ -1,6 +1,6 @@
 //! What workers and coordinator say to each other, to and from the wire.
 
-use super::{WireError, at_most, digest, digest_bytes, text, tile, version, within};
+use super::{WireError, at_most, digest, digest_bytes, micros, text, tile, version, within};
 use crate::limits::{
     FAILURE_BYTES_MAX, KNOWN_JOBS_MAX, LEASES_HELD_MAX, LEASES_PER_REPLY_MAX, NAME_BYTES_MAX, PIXEL_BYTES_MAX,
     SLOTS_MAX, THREADS_MAX,
@@ -139,8 +139,9 @@ impl From<ResultHeader> for wire::ResultHeader {
             fence: header.fence.0,
             unit: Some(header.unit.into()),
             key: digest_bytes(&header.key),
-            trace_us: u64::try_from(header.trace.as_micros()).unwrap_or(u64::MAX),
+            trace_us: micros(header.trace),
             bytes: header.bytes as u64,
+            waited_us: micros(header.waited),
         }
     }
 }
@@ -157,6 +158,7 @@ impl TryFrom<wire::ResultHeader> for ResultHeader {
             fence: Fence(message.fence),
             key: digest(&message.key, "result.key")?,
             trace: Duration::from_micros(message.trace_us),
+            waited: Duration::from_micros(message.waited_us),
             bytes: within(message.bytes, 0..=longest, "result.bytes")? as usize,
             unit,
         })

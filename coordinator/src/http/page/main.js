@@ -146,7 +146,7 @@ async function refresh() {
     set("empty", "");
     legend();
     const error = picture.relativeError(), now = current();
-    if (now && error) plot.add(now.running, error);
+    if (now && error) plot.add(now.running, whole(now).scaled(error, now.samples_done));
     if (!state.ending) await new Promise((resolve) => setTimeout(resolve, PICTURE_PAUSE));
   } catch (error) {
     // Lost connections are told by the feed; a film that is gone is gone.
@@ -177,8 +177,20 @@ function legend() {
 
 // ---- progress
 
+// The image that a job is a step towards: steps before it are not in this picture, but count for its error, which goes with the
+// root of the number of samples. A pilot is no part of the image.
+function whole(job) {
+  const { before, image, expected, pilot } = job.aim ?? { before: 0, image: 0, expected: 0, pilot: false };
+  const share = (samples) => Math.sqrt(samples / Math.max(1, image + samples));
+  return {
+    fraction: (before + job.samples_done) / Math.max(1, expected, before + job.samples_total),
+    scaled: (error, samples) => (pilot ? null : error * share(samples)),
+    error: job.error && !pilot ? job.error.map((error) => error * share(job.samples_done)) : null,
+  };
+}
+
 function progress(job) {
-  const fraction = job ? job.samples_done / Math.max(1, job.samples_total) : 0;
+  const { fraction, error } = job ? whole(job) : { fraction: 0 };
   $("bar").value = fraction;
   document.title = job && goesOn(job) ? `${Math.floor(100 * fraction)} % · tilecast` : "tilecast";
   if (!job) return;
@@ -186,16 +198,17 @@ function progress(job) {
   const done = job.state === "running" ? `${(100 * fraction).toFixed(1)} %` : `${Math.floor(100 * fraction)} %, ${job.state}`;
   set("done", done);
   set("left", left);
-  set("error", job.error ? percent(job.error[0]) : "not known yet");
-  set("interval", job.error ? `${percent(job.error[1], 2)} to ${percent(job.error[2], 2)}` : "");
-  // The error of the mean goes with the root of the number of samples.
-  const expected = job.error && goesOn(job) ? job.error[0] * Math.sqrt(fraction) : null;
-  set("goalname", expected ? "Expected at the end" : "Samples a pixel");
-  set("goal", expected ? percent(expected) : job.spp.toLocaleString("en"));
-  set("goalspp", expected ? `with ${job.spp.toLocaleString("en")} samples a pixel` : "");
+  set("error", error ? percent(error[0]) : "not known yet");
+  set("interval", error ? `${percent(error[1], 2)} to ${percent(error[2], 2)}` : job.aim?.pilot ? "a pilot looks where the noise is" : "");
+  const target = job.aim?.target, ofAll = job.aim?.of === "image";
+  const expected = error && goesOn(job) && !job.aim ? error[0] * Math.sqrt(fraction) : null;
+  set("goalname", target ? "Target" : expected ? "Expected at the end" : "Samples a pixel");
+  set("goal", target || expected ? percent(target || expected) : job.spp.toLocaleString("en"));
+  set("goalspp", target ? (ofAll ? "of the whole image" : "of 95 % of the pixels") : expected ? `with ${job.spp.toLocaleString("en")} samples a pixel` : "");
   set("rate", job.samples_per_second > 0 ? count(job.samples_per_second) : "–");
   set("running", job.running > 0 ? duration(job.running) : "–");
-  plot.aim(expected, expected && job.seconds_left !== null ? job.running + job.seconds_left : null);
+  const goal = target && ofAll ? target : expected;
+  plot.aim(goal, goal && job.seconds_left !== null ? job.running + job.seconds_left : null);
   speak(job, done, left);
   rounds(job);
 }
@@ -205,7 +218,8 @@ function speak(job, done, left) {
   const ended = shown.state !== null && shown.state !== job.state;
   shown.state = job.state;
   if (!ended && Date.now() - spoken.at < SPEAK_PAUSE) return;
-  const error = job.error ? `, error ${percent(job.error[0], 2)}` : "";
+  const known = whole(job).error, aimed = job.aim?.target ? ` of ${percent(job.aim.target, 2)} wanted` : "";
+  const error = known ? `, error ${percent(known[0], 2)}${aimed}` : "";
   const text = goesOn(job) ? `Job ${label(job)}: ${done} done${error}, ${left} left, ${job.workers} workers` : `Job ${label(job)} is ${job.state}${error}`;
   if (text === spoken.text) return;
   spoken = { at: Date.now(), text };
@@ -219,7 +233,8 @@ async function rounds(job) {
   here.rounds = mark;
   try {
     const detail = await (await ask(`/api/jobs/${job.id}`)).json();
-    if (here === shown) plot.setRounds(detail.history);
+    const { scaled } = whole(job);
+    if (here === shown) plot.setRounds(detail.history.map(([at, samples, error]) => [at, samples, error.map((e) => scaled(e, samples))]));
   } catch {
     here.rounds = -1;
   }
@@ -244,7 +259,7 @@ function tables() {
     [clock(job.submitted), ""],
     [job.why ? `${job.state}: ${job.why}` : job.state, { finished: "good", failed: "bad wrap", cancelled: "warm" }[job.state] ?? ""],
     [percent(Math.floor(1000 * job.samples_done / Math.max(1, job.samples_total)) / 1000), "n"],
-    [job.error ? percent(job.error[0], 2) : "–", "n"],
+    [whole(job).error ? percent(whole(job).error[0], 2) : "–", "n"],
     [goesOn(job) && job.seconds_left !== null ? duration(job.seconds_left) : "–", "n"],
     line.buttons ??= buttons(job),
   ], (line, job) => {
