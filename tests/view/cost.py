@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """What looking on costs: the same render again and again, by turns with nobody, with an open page, and with readers that stall.
 
-Counts the user time and the instructions of the render's own process, not of who looks on, and its memory. `just cost` runs it;
-the table of docs/live.md is what it prints. Needs Linux; counts instructions where there is a `perf` that may.
+Counts the render's own process, not who looks on: its processor time in all, which is what looking on may cost but drifts with
+the machine; what of it is not the tracing threads', which drifts hardly at all; and its memory. `just cost` runs it, and the table of
+docs/live.md is what it prints. Needs Linux.
 """
 
 import argparse
@@ -88,66 +89,60 @@ def stalled_tev():
 
 
 def memory(pid):
+    """MiB that are resident."""
     with open(f"/proc/{pid}/status") as status:
         return next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmRSS"))
 
 
+def processor(pid):
+    """Seconds of the whole process, threads that have ended included, and of its tracing threads."""
+    def seconds(path):
+        user, system = pathlib.Path(path).read_text().rsplit(")", 1)[1].split()[11:13]
+        return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+    tasks = pathlib.Path(f"/proc/{pid}/task").iterdir()
+    tracing = [task for task in tasks if (task / "comm").read_text().startswith("trace-")]
+    return seconds(f"/proc/{pid}/stat"), sum(seconds(task / "stat") for task in tracing)
+
+
 def run(arguments, kind):
-    """One render: user seconds, instructions, memory early and at the end (MiB), digest, what was read."""
+    """One render: seconds in all, the part that is not tracing, memory early and at the end, digest, what was read."""
     folder = tempfile.mkdtemp()
     command = [arguments.tilecast, "render", str(SCENE), "--json", "--no-film", "-o", f"{folder}/out.exr"]
     command += ["--size", arguments.size, "--spp", str(arguments.spp), "--view"]
-    held = []
+    held, page, sizes, spent, digest = [], None, [], None, None
     if kind == "a tev that stalls":
         held.append(stalled_tev())
         command += ["--tev", f"127.0.0.1:{held[0].getsockname()[1]}"]
-    if arguments.perf:
-        command = ["perf", "stat", "-x,", "-e", "instructions:u", "-o", f"{folder}/perf", "--"] + command
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    page, sizes, digest = None, [], None
     for line in process.stdout:
         event = json.loads(line)
         if event["event"] == "viewing":
             port = int(event["url"].rstrip("/").rsplit(":", 1)[1])
-            tracer = child(process.pid) if arguments.perf else process.pid
             if kind == "an open page":
                 page = Page(port)
         elif event["event"] == "progress":
             if kind == "pages that stall" and not held:
                 held = stalled_browser(port)
-            sizes.append(memory(tracer))
+            sizes.append(memory(process.pid))
+            spent = processor(process.pid)
         elif event["event"] == "finished":
             digest = event["digest"]
     _, status, usage = os.wait4(process.pid, 0)
-    assert status == 0 and digest, f"{command} ended with {status}"
-    instructions = None
-    if arguments.perf:
-        with open(f"{folder}/perf") as perf:
-            instructions = float(next(line for line in perf if "instructions" in line).split(",")[0])
+    assert status == 0 and digest and spent, f"{command} ended with {status}; it must take some seconds"
     shutil.rmtree(folder)
     [one.close() for one in held]
-    early = sizes[len(sizes) // 4] if sizes else math.nan
     return {
-        "user": usage.ru_utime, "instructions": instructions, "early": early, "late": sizes[-1] if sizes else math.nan,
-        "digest": digest, "read": (page.states, page.bytes) if page else None,
+        "all": usage.ru_utime + usage.ru_stime, "besides": (spent[0] - spent[1]) / spent[1],
+        "early": sizes[len(sizes) // 4], "late": sizes[-1], "digest": digest,
+        "read": (page.states, page.bytes) if page else None,
     }
 
 
-def child(pid):
-    """The render below `perf`."""
-    for _ in range(100):
-        below = pathlib.Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        if below:
-            return int(below[0])
-        time.sleep(0.05)
-    sys.exit("perf has started nothing")
-
-
-def ratio(ours, theirs):
-    """The mean ratio of pairs and its 95 % interval, in per cent more."""
-    logs = [math.log(a / b) for a, b in zip(ours, theirs)]
-    mean, error = statistics.mean(logs), statistics.stdev(logs) / math.sqrt(len(logs)) if len(logs) > 1 else math.nan
-    return f"{100 * math.expm1(mean):+.2f} ± {196 * error:.2f} %"
+def mean(values):
+    """With its 95 % interval, in per cent."""
+    error = statistics.stdev(values) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+    return f"{100 * statistics.mean(values):.2f} ± {196 * error:.2f} %"
 
 
 def main():
@@ -157,8 +152,6 @@ def main():
     parser.add_argument("--spp", type=int, default=512)
     parser.add_argument("--size", default="512x512")
     arguments = parser.parse_args()
-    probe = ["perf", "stat", "-e", "instructions:u", "true"]
-    arguments.perf = bool(shutil.which("perf")) and subprocess.run(probe, capture_output=True).returncode == 0
     kinds = ["nobody", "an open page", "pages that stall", "a tev that stalls"]
     seen = {kind: [] for kind in kinds}
     for i in range(arguments.pairs):
@@ -167,17 +160,17 @@ def main():
             seen[kind].append(run(arguments, kind))
         print(f"{i + 1} of {arguments.pairs}", file=sys.stderr)
     assert len({one["digest"] for all in seen.values() for one in all}) == 1, "the image must not depend on who looks"
-    print("| looks on | user time | instructions | memory, early and at the end |\n|---|---|---|---|")
+    print("| looks on | processor time in all | besides tracing | memory, early and at the end |\n|---|---|---|---|")
     for kind, runs in seen.items():
         of = lambda key, runs=runs: [one[key] for one in runs]
-        base = lambda key: [one[key] for one in seen["nobody"]]
+        pairs = list(zip(runs, seen["nobody"]))
         size = f"{statistics.median(of('early')):.0f} and {statistics.median(of('late')):.0f} MiB"
         if kind == "nobody":
-            counted = f"{statistics.median(of('instructions')) / 1e9:.1f} G" if arguments.perf else "–"
-            print(f"| {kind} | {statistics.median(of('user')):.2f} s | {counted} | {size} |")
+            print(f"| {kind} | {statistics.median(of('all')):.1f} s | {mean(of('besides'))} | {size} |")
         else:
-            counted = ratio(of("instructions"), base("instructions")) if arguments.perf else "–"
-            print(f"| {kind} | {ratio(of('user'), base('user'))} | {counted} | {size} |")
+            whole = mean([math.log(ours["all"] / nobody["all"]) for ours, nobody in pairs])
+            more = mean([ours["besides"] - nobody["besides"] for ours, nobody in pairs])
+            print(f"| {kind} | {whole} more | {more} more | {size} |")
     states, read = (statistics.median(x) for x in zip(*[one["read"] for one in seen["an open page"]]))
     print(f"\n{arguments.pairs} runs each of {arguments.size} pixels, {arguments.spp} spp; the page read {states:.0f} states and {read / 1e6:.1f} MB of tiles a run.")
 
