@@ -82,3 +82,8 @@ chart python="venv/bin/python":
 python python="venv/bin/python":
     cargo build --release
     bash examples/python/run.sh {{python}}
+
+# Two machines, as docs/first-cluster.md has them, in network namespaces, with a newcomer's mistakes on the way. Needs root.
+machines:
+    cargo build --release
+    bash tests/machines/run.sh

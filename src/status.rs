@@ -106,7 +106,7 @@ pub fn state(state: &JobState) -> (&str, Option<&str>) {
 
 fn table(jobs: &[Progress], workers: &[WorkerStatus]) -> String {
     let mut lines = vec![format!(
-        "{:<20} {:<10} {:>6} {:>8} {:>9}  {:<22} name",
+        "{:<8} {:<10} {:>6} {:>8} {:>9}  {:<22} name",
         "job", "state", "done", "workers", "seconds", "error"
     )];
     for job in jobs {
@@ -115,21 +115,26 @@ fn table(jobs: &[Progress], workers: &[WorkerStatus]) -> String {
         let seconds = job.elapsed.as_secs_f64();
         let error = job.relative_error.map_or_else(String::new, |error| percent(&error));
         lines.push(format!(
-            "{:<20} {word:<10} {done:>4.0} % {:>8} {seconds:>9.1}  {error:<22} {}",
+            "{:<8} {word:<10} {done:>4.0} % {:>8} {seconds:>9.1}  {error:<22} {}",
             job.job, job.workers, job.name
         ));
         lines.extend(why.map(|why| format!("    {why}")));
     }
     let columns = ("worker", "threads", "isa", "units", "Msamples/s");
     lines.push(format!(
-        "\n{:<20} {:>7} {:<8} {:>7} {:>10}  machine",
+        "\n{:<8} {:>7} {:<8} {:>7} {:>10}  machine",
         columns.0, columns.1, columns.2, columns.3, columns.4
     ));
     for WorkerStatus { worker, info, units_done, samples_per_second, .. } in workers {
         let rate = samples_per_second / 1e6;
         lines.push(format!(
-            "{:<20} {:>7} {:<8} {units_done:>7} {rate:>10.2}  {}:{} {}",
-            worker.0, info.threads, info.isa, info.host, info.pid, info.name
+            "{:<8} {:>7} {:<8} {units_done:>7} {rate:>10.2}  {}:{} {}",
+            worker.number(),
+            info.threads,
+            info.isa,
+            info.host,
+            info.pid,
+            info.name
         ));
     }
     lines.join("\n")

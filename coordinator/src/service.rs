@@ -264,9 +264,9 @@ impl Shared {
 
     /// A worker brought what makes no sense.
     fn offence(&self, worker: WorkerId, what: &str) {
-        self.tell(Kind::Nonsense, worker, format!("a result of worker {} makes no sense: {what}", number(worker)));
+        self.tell(Kind::Nonsense, worker, format!("a result of worker {} makes no sense: {what}", worker.number()));
         if self.with_ledger(|ledger, _| ledger.offence(worker, what)) {
-            self.tell(Kind::ShutOut, worker, format!("worker {} is shut out", number(worker)));
+            self.tell(Kind::ShutOut, worker, format!("worker {} is shut out", worker.number()));
             self.work.notify_waiters();
         }
     }
@@ -314,7 +314,7 @@ impl Shared {
                 );
             }
             News::Lapsed { worker, leases } => {
-                let text = format!("{} units of worker {} are given to others", leases.len(), number(worker));
+                let text = format!("{} units of worker {} are given to others", leases.len(), worker.number());
                 self.tell(Kind::LeasesLapsed, worker, text);
                 for lent in leases {
                     self.follow(Way::lost(self.now(), lent), Outcome::Lapsed);
@@ -356,12 +356,7 @@ impl Shared {
 /// How people know a worker.
 pub(crate) fn called(worker: WorkerId, info: &WorkerInfo) -> String {
     let name = if info.name.is_empty() { String::new() } else { format!(" {}", info.name) };
-    format!("{}{name} on {} ({} threads)", number(worker), info.host, info.threads)
-}
-
-/// The number that people see: what is before it is the coordinator's incarnation.
-pub(crate) fn number(worker: WorkerId) -> u32 {
-    (worker.0 & 0xffff_ffff) as u32
+    format!("{}{name} on {} ({} threads)", worker.number(), info.host, info.threads)
 }
 
 /// The next message of a stream of bulk; one on which nothing comes is broken off.

@@ -16,6 +16,13 @@ pub struct JobId(pub u64);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct WorkerId(pub u64);
 
+impl WorkerId {
+    /// The number that people see: what is before it tells coordinators apart.
+    pub fn number(self) -> u32 {
+        (self.0 & 0xffff_ffff) as u32
+    }
+}
+
 /// The fencing number of a lease: grows with every lease a coordinator gives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Fence(pub u64);

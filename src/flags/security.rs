@@ -47,7 +47,7 @@ impl ConnectFlags {
         let token = self.token_file.map(|path| read(&path)).transpose()?;
         let token = token.map(|bytes| String::from_utf8_lossy(&bytes).trim().to_owned());
         let identity = if token.is_some() { None } else { Some(identity(&folder, roles)?) };
-        let credentials = Credentials { authority: read(&folder.join("ca.pem"))?, identity, token };
+        let credentials = Credentials { authority: certificate(&folder, "ca.pem")?, identity, token };
         Ok(Connector::secure(&self.connect, &credentials).map_err(unreadable)?)
     }
 }
@@ -69,9 +69,9 @@ impl GuardFlags {
         let Some(folder) = self.certs else { return Ok(None) };
         let tokens = self.token_file.map(|path| tokens(&path)).transpose()?.unwrap_or_default();
         Ok(Some(Security {
-            certificate: read(&folder.join("coordinator.pem"))?,
-            key: read(&folder.join("coordinator.key"))?,
-            authority: read(&folder.join("ca.pem"))?,
+            certificate: certificate(&folder, "coordinator.pem")?,
+            key: certificate(&folder, "coordinator.key")?,
+            authority: certificate(&folder, "ca.pem")?,
             tokens,
         }))
     }
@@ -91,13 +91,27 @@ fn tokens(path: &Path) -> anyhow::Result<Vec<(Role, Digest)>> {
 
 /// Certificate and key of the first role that the folder has both of.
 fn identity(folder: &Path, roles: &[Role]) -> anyhow::Result<(Vec<u8>, Vec<u8>)> {
-    let paths = |role: &Role| [".pem", ".key"].map(|end| folder.join(format!("{}{end}", role.name())));
-    let there = roles.iter().map(paths).find(|paths| paths.iter().all(|path| path.exists()));
+    let files = |role: &Role| [".pem", ".key"].map(|end| format!("{}{end}", role.name()));
+    let there = roles.iter().map(files).find(|files| files.iter().all(|file| folder.join(file).exists()));
     let names: Vec<&str> = roles.iter().map(|role| role.name()).collect();
-    let missing =
-        || Usage(format!("--certs {}: no certificate and key of a {}", folder.display(), names.join(" or an ")));
-    let [certificate, key] = there.ok_or_else(missing)?;
-    Ok((read(&certificate)?, read(&key)?))
+    let [pem, key] =
+        there.ok_or_else(|| missing(folder, &format!("no certificate and key of a {}", names.join(" or an "))))?;
+    Ok((certificate(folder, &pem)?, certificate(folder, &key)?))
+}
+
+/// A file of the folder of certificates.
+fn certificate(folder: &Path, name: &str) -> anyhow::Result<Vec<u8>> {
+    let path = folder.join(name);
+    if path.exists() { read(&path) } else { Err(missing(folder, &format!("no {name}")).into()) }
+}
+
+/// How to come by what the folder of certificates lacks.
+fn missing(folder: &Path, what: &str) -> Usage {
+    let folder = folder.display();
+    Usage(format!(
+        "--certs {folder}: {what} there; on the coordinator's machine `tilecast certs init {folder}` makes all of a cluster's, once, \
+         and other machines get copies of ca.pem and of their role's .pem and .key"
+    ))
 }
 
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {

@@ -93,7 +93,7 @@ impl Session {
         let lost = |status| unheard(&status).map_or_else(|| end(status), |e| End::Lost(e.to_string()));
         let welcome = work.register(call(hello)).await.map_err(lost)?.into_inner();
         let Welcome { worker, heartbeat } = welcome.try_into().map_err(|e: WireError| End::Refused(e.to_string()))?;
-        tracing::info!(worker = worker.0, "registered");
+        tracing::info!(worker = worker.number(), "registered");
         Ok(Self {
             work,
             worker,

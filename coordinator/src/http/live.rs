@@ -5,7 +5,7 @@ use super::Inner;
 use super::guard::told;
 use crate::events::Event;
 use crate::ledger::{Ledger, Trust};
-use crate::service::{Shared, number};
+use crate::service::Shared;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, State};
 use axum::http::header;
@@ -108,7 +108,7 @@ impl From<Aim> for Towards {
 
 #[derive(Serialize)]
 struct Worker {
-    /// See [`number`].
+    /// The number that people see.
     id: u32,
     name: String,
     host: String,
@@ -305,7 +305,7 @@ fn workers(ledger: &Ledger, mut all: Vec<WorkerStatus>) -> Vec<Worker> {
     let row = |worker: WorkerStatus| {
         let (trust, offences) = ledger.trust(&worker.info);
         Worker {
-            id: number(worker.worker),
+            id: worker.worker.number(),
             threads: worker.info.threads,
             leases: worker.leases,
             units: worker.units_done,

@@ -4,7 +4,6 @@
 use super::Inner;
 use super::live::state_name;
 use crate::ledger::Ledger;
-use crate::service::number;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -158,7 +157,7 @@ fn workers(all: &[WorkerStatus], values: &mut Values) {
     put("tilecast_threads", all.iter().map(|worker| f64::from(worker.info.threads)).sum());
     put("tilecast_samples_per_second", all.iter().map(|worker| worker.samples_per_second).sum());
     for worker in all.iter().take(WORKERS_TOLD_MAX) {
-        let labels = vec![number(worker.worker).to_string(), worker.info.name.clone(), worker.info.host.clone()];
+        let labels = vec![worker.worker.number().to_string(), worker.info.name.clone(), worker.info.host.clone()];
         let mut put = |name, value: f64| values.push((name, labels.clone(), value));
         put("tilecast_worker_threads", f64::from(worker.info.threads));
         put("tilecast_worker_samples_per_second", worker.samples_per_second);

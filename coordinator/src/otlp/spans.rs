@@ -1,7 +1,6 @@
 //! Ways as OpenTelemetry has them: one trace a lease, one span for the whole and one below it for each step.
 
 use super::way::{Outcome, Way};
-use crate::service::number;
 use opentelemetry::trace::{SpanContext, SpanId, SpanKind, Status, TraceFlags, TraceId, TraceState};
 use opentelemetry::{InstrumentationScope, KeyValue};
 use opentelemetry_sdk::trace::{SpanData, SpanEvents, SpanLinks};
@@ -57,7 +56,7 @@ fn attributes(way: &Way) -> Vec<KeyValue> {
     let (tile, samples) = (way.unit.tile, &way.unit.samples);
     let mut all = vec![
         KeyValue::new("tilecast.job", signed(way.unit.job.0)),
-        KeyValue::new("tilecast.worker", i64::from(number(way.worker))),
+        KeyValue::new("tilecast.worker", i64::from(way.worker.number())),
         KeyValue::new("tilecast.tile", format!("{},{},{},{}", tile.x0, tile.y0, tile.x1, tile.y1)),
         KeyValue::new("tilecast.samples", format!("{}..{}", samples.start, samples.end)),
         KeyValue::new("tilecast.lease", signed(way.fence.0)),

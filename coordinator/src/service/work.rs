@@ -1,6 +1,6 @@
 //! The service that workers call.
 
-use super::{Shared, called, lock, next, number, panicked};
+use super::{Shared, called, lock, next, panicked};
 use crate::events::{About, Kind};
 use crate::otlp::way::{Outcome, Step, Way};
 use bytes::{Bytes, BytesMut};
@@ -100,7 +100,7 @@ impl work_server::Work for Work {
     async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailReply>, Status> {
         let (worker, fence, job, failure) = <(WorkerId, Fence, JobId, Failure)>::try_from(request.into_inner())?;
         let about = About { job: Some(job), worker: Some(worker) };
-        self.0.tell(Kind::UnitFailed, about, format!("worker {} could not do a unit: {failure:?}", number(worker)));
+        self.0.tell(Kind::UnitFailed, about, format!("worker {} could not do a unit: {failure:?}", worker.number()));
         let why = Outcome::Failed(format!("{failure:?}"));
         let lent = self.0.with_ledger(|ledger, now| {
             let lent = ledger.lease_of(worker, fence);

@@ -195,7 +195,7 @@ function progress(job) {
   document.title = job && goesOn(job) ? `${Math.floor(100 * fraction)} % · tilecast` : "tilecast";
   if (!job) return;
   const left = goesOn(job) && job.seconds_left !== null ? duration(job.seconds_left) : "–";
-  const done = job.state === "running" ? `${(100 * fraction).toFixed(1)} %` : `${Math.floor(100 * fraction)} %, ${job.state}`;
+  const done = job.state === "running" ? `${(100 * fraction).toFixed(1)} %` : `${Math.floor(100 * fraction)} %, ${job.aim ? "step " : ""}${job.state}`;
   set("done", done);
   set("left", left);
   set("error", error ? percent(error[0]) : "not known yet");
