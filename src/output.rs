@@ -125,3 +125,6 @@ pub fn replace(path: &Path, write: impl FnOnce(&mut AtomicWriteFile) -> anyhow::
     write(&mut file)?;
     Ok(file.commit()?)
 }
+
+#[cfg(test)]
+mod tests;
