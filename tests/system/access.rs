@@ -1,11 +1,14 @@
 //! Who is let in: every kind of peer, on every call.
 
-use crate::harness::Folder;
+use crate::cluster;
+use crate::harness::{Folder, free_address};
 use std::time::Duration;
 use tilecast_coordinator::Config;
 use tilecast_coordinator::access::{Role, Security};
 use tilecast_core::scene::Digest;
+use tilecast_proto::client::{Client, ClientError};
 use tilecast_proto::transport::{COORDINATOR_NAME, Connector, Credentials, Line, tcp_incoming};
+use tilecast_proto::types::{JobSpec, JobState, Progress};
 use tilecast_proto::wire;
 use tilecast_proto::wire::jobs_client::JobsClient;
 use tilecast_proto::wire::work_client::WorkClient;
@@ -32,11 +35,14 @@ async fn answers(line: &Line) -> Vec<(&'static str, Option<Code>)> {
         ("CancelJob", code(jobs.cancel_job(wire::JobId::default()).await.map(|_| ()))),
         ("ListJobs", code(jobs.list_jobs(wire::ListJobsRequest {}).await.map(|_| ()))),
         ("ListWorkers", code(jobs.list_workers(wire::ListWorkersRequest {}).await.map(|_| ()))),
+        ("ListContributions", code(jobs.list_contributions(wire::JobId::default()).await.map(|_| ()))),
     ]
 }
 
 /// How many of the calls above are a worker's.
 const WORKERS_CALLS: usize = 7;
+/// And how many there are.
+const CALLS: usize = 17;
 
 /// A coordinator behind certificates, and how to come to it.
 struct Guarded {
@@ -101,7 +107,7 @@ async fn nobody_gets_in_without_a_right_and_nobody_beyond_it() {
         let guarded = Guarded::start(with_tokens).await;
         assert_eq!(guarded.folder.tilecast(["certs", "init", "other"]).code, Some(0));
         expired(&guarded);
-        let all = 0..16;
+        let all = 0..CALLS;
         let plain = Connector::tcp(&guarded.address).expect("an address");
         refused(plain, "plaintext", all.clone()).await;
         refused(guarded.peer(None, None), "no certificate", all.clone()).await;
@@ -110,10 +116,10 @@ async fn nobody_gets_in_without_a_right_and_nobody_beyond_it() {
         refused(guarded.peer(Some(("certs", "coordinator")), None), "the coordinator's as a client's", all.clone())
             .await;
         refused(guarded.peer(None, Some("worker")), "bad token", all.clone()).await;
-        refused(guarded.peer(Some(("certs", "worker")), None), "worker as client", WORKERS_CALLS..16).await;
+        refused(guarded.peer(Some(("certs", "worker")), None), "worker as client", WORKERS_CALLS..CALLS).await;
         refused(guarded.peer(Some(("certs", "client")), None), "client as worker", 0..WORKERS_CALLS).await;
         if with_tokens {
-            refused(guarded.peer(None, Some("worker's")), "worker's token as client", WORKERS_CALLS..16).await;
+            refused(guarded.peer(None, Some("worker's")), "worker's token as client", WORKERS_CALLS..CALLS).await;
             refused(guarded.peer(None, Some("client's")), "client's token as worker", 0..WORKERS_CALLS).await;
         }
     }
@@ -125,10 +131,10 @@ async fn who_has_a_right_is_let_in() {
     let guarded = Guarded::start(true).await;
     let peers = [
         (guarded.peer(Some(("certs", "worker")), None), 0..WORKERS_CALLS),
-        (guarded.peer(Some(("certs", "client")), None), WORKERS_CALLS..16),
-        (guarded.peer(Some(("certs", "admin")), None), 0..16),
+        (guarded.peer(Some(("certs", "client")), None), WORKERS_CALLS..CALLS),
+        (guarded.peer(Some(("certs", "admin")), None), 0..CALLS),
         (guarded.peer(None, Some("worker's")), 0..WORKERS_CALLS),
-        (guarded.peer(None, Some("client's")), WORKERS_CALLS..16),
+        (guarded.peer(None, Some("client's")), WORKERS_CALLS..CALLS),
     ];
     for (connector, calls) in peers {
         let line = connector.connect().await.expect("let in");
@@ -148,6 +154,63 @@ async fn who_has_a_right_is_let_in() {
         },
     );
     assert!(lost.expect("credentials").connect().await.is_err(), "{COORDINATOR_NAME} of another authority");
+}
+
+/// Every call that there is, is in the matrix above. Fails when one is added to the protocol and not there.
+#[test]
+fn the_matrix_has_every_call() {
+    let protocol = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/proto/proto/render.proto"))
+        .expect("the protocol");
+    assert_eq!(protocol.lines().filter(|line| line.trim_start().starts_with("rpc ")).count(), CALLS);
+}
+
+/// Clients are told apart by what they show: nobody but its owner or an admin ends a job. Fails if a coordinator forgets whose
+/// a job is, or takes all of a role for one.
+#[tokio::test]
+async fn a_job_is_cancelled_by_its_owner_or_an_admin_alone() {
+    let guarded = Guarded::start(true).await;
+    let owner = Client::connect(&guarded.peer(Some(("certs", "client")), None)).await.expect("let in");
+    let other = Client::connect(&guarded.peer(None, Some("client's"))).await.expect("let in");
+    let admin = Client::connect(&guarded.peer(Some(("certs", "admin")), None)).await.expect("let in");
+    for ends in [&owner, &admin] {
+        let job = owner.submit(JobSpec { workers_hold_scene: true, ..cluster::job() }).await.expect("accepted");
+        let Err(ClientError::Call(refusal)) = other.cancel(job).await else { panic!("another has cancelled it") };
+        assert_eq!(refusal.code(), Code::PermissionDenied, "{refusal}");
+        let state = |jobs: &[Progress]| jobs.iter().find(|listed| listed.job == job).map(|listed| listed.state.clone());
+        assert_eq!(state(&other.jobs().await.expect("a list")), Some(JobState::Queued), "it waits as before");
+        assert_eq!(ends.cancel(job).await.expect("cancelled").state, JobState::Cancelled);
+    }
+}
+
+/// With everything logged that can be, by those who show a token and by who checks it.
+#[test]
+fn no_secret_is_logged() {
+    let folder = Folder::new();
+    assert_eq!(folder.tilecast(["certs", "init", "certs"]).code, Some(0));
+    let address = free_address();
+    let log = [("TILECAST_LOG", "trace")];
+    let secure = ["--certs", "certs", "--token-file"];
+    let listen = ["coordinator", "--json", "--listen", address.as_str()];
+    let mut coordinator = folder.start_with(listen.into_iter().chain(secure).chain(["certs/tokens"]), &log);
+    coordinator.event("listening");
+    let connect = ["worker", "--threads", "1", "--connect", address.as_str()];
+    let mut worker = folder.start_with(connect.into_iter().chain(secure).chain(["certs/worker.token"]), &log);
+    worker.complains("registered");
+    let mut said = String::new();
+    for process in [worker, coordinator] {
+        process.signal("TERM");
+        let outcome = process.end();
+        assert_eq!(outcome.code, Some(0), "{outcome:?}");
+        said += &(outcome.stdout + &outcome.stderr);
+    }
+    assert!(said.contains("TRACE"), "that is not everything");
+    let read = |name: &str| std::fs::read_to_string(folder.path("certs").join(name)).expect("it was made");
+    let tokens = read("tokens");
+    let keys = ["ca.key", "coordinator.key", "worker.key"].map(read).concat();
+    let secrets = tokens.split_whitespace().filter(|word| word.len() > 10);
+    // Lines of a key between those that say so.
+    let secrets: Vec<&str> = secrets.chain(keys.lines().filter(|line| !line.starts_with('-'))).collect();
+    assert!(secrets.len() > 3 && secrets.iter().all(|secret| !said.contains(secret)), "a log tells a secret");
 }
 
 /// An admin's certificate of yesterday, signed by the very authority.

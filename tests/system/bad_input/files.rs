@@ -58,7 +58,7 @@ fn files_that_are_no_scenes() {
 /// What is wrong stands on line 8; the message names it there.
 #[test]
 fn xml_that_is_wrong_is_shown_with_its_line() {
-    let cases: [(&str, &[&str]); 21] = [
+    let cases: [(&str, &[&str]); 22] = [
         ("<shape type=\"spere\"/>", &["spere", "sphere"]),
         ("<shape type=\"sphere\"><float name=\"radios\" value=\"1\"/></shape>", &["radios", "radius"]),
         ("<shape type=\"sphere\"><float name=\"radius\" value=\"wide\"/></shape>", &["wide"]),
@@ -74,6 +74,10 @@ fn xml_that_is_wrong_is_shown_with_its_line() {
         ("<shape type=\"obj\"><string name=\"filename\" value=\"missing.obj\"/></shape>", &["missing.obj"]),
         ("<shape type=\"obj\"><string name=\"filename\" value=\"../outside.obj\"/></shape>", &["outside.obj"]),
         ("<shape type=\"obj\"><string name=\"filename\" value=\"/etc/passwd\"/></shape>", &["/etc/passwd"]),
+        (
+            "<shape type=\"obj\"><string name=\"filename\" value=\"file:///etc/passwd\"/></shape>",
+            &["file:///etc/passwd"],
+        ),
         ("<shape type=\"obj\"/>", &["filename"]),
         (IMAGE_TEXT, &["words.png"]),
         (IMAGE_CUT, &["cut.png"]),
