@@ -44,6 +44,8 @@ pub async fn run(
     Coordinator { listen, http, tev, otlp, state, verify, security, style, .. }: Coordinator,
 ) -> anyhow::Result<()> {
     let stop = on_signal()?;
+    #[cfg(unix)]
+    open_many_files();
     let listener = TcpListener::bind(&listen)
         .await
         .with_context(|| format!("--listen {listen}: cannot serve there; is another coordinator running?"))?;
@@ -66,6 +68,15 @@ pub async fn run(
     let page = Lookers { view, tev, otlp }.show(&coordinator)?;
     coordinator.serve(tcp_incoming(listener), stop.cancelled()).await?;
     page.end().await
+}
+
+/// Every connection is an open file, and systems are used to allowing 1024 unless one asks for what one may have.
+#[cfg(unix)]
+fn open_many_files() {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let limits = getrlimit(Resource::Nofile);
+    let _ = setrlimit(Resource::Nofile, Rlimit { current: limits.maximum, ..limits });
+    tracing::debug!(files = ?getrlimit(Resource::Nofile).current, "as many connections can be served");
 }
 
 /// How a coordinator is set up that starts now.

@@ -2,7 +2,9 @@
 
 use crate::LogFormat;
 use crate::stop::on_signal;
+use anyhow::Context;
 use std::io::Read;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tilecast_core::bvh::simd::Isa;
@@ -10,6 +12,7 @@ use tilecast_proto::limits::NAME_BYTES_MAX;
 use tilecast_proto::transport::Connector;
 use tilecast_worker::WorkerConfig;
 use tilecast_worker::scenes::SceneCache;
+use tilecast_worker::shelf::Shelf;
 
 /// When it is told to end, what is begun may be finished for so long: a worker is gone within 10 s.
 const DRAIN: Duration = Duration::from_secs(8);
@@ -26,6 +29,8 @@ pub struct Worker {
     pub isa: Isa,
     /// End after so long: a scheduler would end it soon after.
     pub lifetime: Option<Duration>,
+    /// A folder of scenes, shared with others.
+    pub scene_cache: Option<PathBuf>,
     /// End when standard input does: it is a pipe from the process that started this one.
     pub exit_with_parent: bool,
     /// How its log is written.
@@ -37,8 +42,9 @@ pub struct Worker {
 /// # Errors
 /// A refusal by the coordinator.
 pub async fn run(worker: Worker) -> anyhow::Result<()> {
-    let Worker { connector, threads, name, isa, lifetime, exit_with_parent, .. } = worker;
+    let Worker { connector, threads, name, isa, lifetime, scene_cache, exit_with_parent, .. } = worker;
     let stop = on_signal()?;
+    let scenes = scene_cache.map_or_else(|| Ok(SceneCache::default()), |folder| scenes(&folder))?;
     if exit_with_parent {
         // A thread of its own: reading standard input cannot be broken off.
         std::thread::spawn(|| {
@@ -60,8 +66,13 @@ pub async fn run(worker: Worker) -> anyhow::Result<()> {
             () = time_is_up => {}
         }
     };
-    tilecast_worker::run(connector, config, Arc::new(SceneCache::default()), end).await?;
+    tilecast_worker::run(connector, config, Arc::new(scenes), end).await?;
     Ok(())
+}
+
+fn scenes(folder: &Path) -> anyhow::Result<SceneCache> {
+    let shelf = Shelf::open(folder).with_context(|| format!("--scene-cache {}: cannot be made", folder.display()))?;
+    Ok(SceneCache::with_shelf(shelf))
 }
 
 /// This machine's name, for people; empty where it cannot be had.

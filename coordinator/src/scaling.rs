@@ -67,6 +67,7 @@ enum Event {
 
 struct Worker {
     id: WorkerId,
+    pace: f64,
     queue: VecDeque<Lease>,
     tracing: Option<Lease>,
     asking: bool,
@@ -88,15 +89,22 @@ const PATIENCE: f64 = 10.0;
 
 /// Simulates `workers` workers of one thread each; `None` if that cannot be, or does not end.
 pub fn simulate(spec: &JobSpec, workers: u32, costs: &Costs) -> Option<Simulated> {
-    let mut ledger = Ledger::new(1, Policy::default());
+    simulate_crew(spec, &vec![1.0; workers as usize], 0.0, costs)
+}
+
+/// The same for one worker for each of `paces`, that many times as slow as was measured; `verify` is the share of units that are
+/// checked.
+fn simulate_crew(spec: &JobSpec, paces: &[f64], verify: f64, costs: &Costs) -> Option<Simulated> {
+    let mut ledger = Ledger::new(1, Policy { verify, seed: 0 });
     let now = |seconds: f64| Duration::from_secs_f64(seconds.max(0.0));
     let job = ledger.add_job(Duration::ZERO, spec.clone(), None).ok()?;
     let key = work_key(&spec.scene, &spec.settings);
     let mut all = Vec::new();
-    for instance in 1..=u64::from(workers) {
+    for (instance, &pace) in (1..).zip(paces) {
         let id = ledger.register(Duration::ZERO, info(instance)).ok()?;
         all.push(Worker {
             id,
+            pace,
             queue: VecDeque::new(),
             tracing: None,
             asking: true,
@@ -146,7 +154,7 @@ pub fn simulate(spec: &JobSpec, workers: u32, costs: &Costs) -> Option<Simulated
                 let worker = &mut all[i];
                 let Some(lease) = worker.tracing.take() else { continue };
                 let pixels = lease.unit.tile.area() as f64;
-                let trace = seconds(&lease, costs);
+                let trace = worker.pace * seconds(&lease, costs);
                 worker.traced += trace;
                 sim.send(time, i, pixels, costs);
                 let header = ResultHeader {
@@ -169,7 +177,8 @@ pub fn simulate(spec: &JobSpec, workers: u32, costs: &Costs) -> Option<Simulated
             Event::Merged(i, result) => {
                 let Some(header) = sim.results.get_mut(result as usize).and_then(Option::take) else { continue };
                 all[i].bringing.retain(|fence| *fence != header.fence);
-                let outcome = ledger.accept(now(time), &header, None);
+                // All are honest.
+                let outcome = ledger.accept(now(time), &header, (verify > 0.0).then_some(key));
                 if outcome.merge {
                     units += 1;
                     ledger.merged(now(time), job);
@@ -205,7 +214,7 @@ fn begin(worker: &mut Worker, i: usize, time: f64, costs: &Costs, sim: &mut Sim)
     if worker.tracing.is_none()
         && let Some(lease) = worker.queue.pop_front()
     {
-        sim.at(time + seconds(&lease, costs), Event::Traced(i));
+        sim.at(time + worker.pace * seconds(&lease, costs), Event::Traced(i));
         worker.tracing = Some(lease);
     }
 }
@@ -349,6 +358,27 @@ mod tests {
         assert!(many.line_share > 0.9 && 64.0 * many.seconds > 2.0 * one.seconds, "{many:?}");
         let slow_merge = Costs { merge_pixel: 1e-4, ..costs() };
         assert!(of(64, &slow_merge).merge_share > 0.9);
+    }
+
+    /// Units fit the pace of whoever takes them, and in the tail others take over. Fails if all get units of one size.
+    #[test]
+    fn a_worker_ten_times_slower_holds_nobody_up() {
+        for paces in [vec![1.0, 10.0], vec![1.0, 1.0, 1.0, 10.0]] {
+            let work = 256.0 * 256.0 * 4096.0 * 1e-6;
+            let ideal = work / paces.iter().map(|pace| 1.0 / pace).sum::<f64>();
+            let uneven = simulate_crew(&spec(4096), &paces, 0.0, &costs()).unwrap();
+            assert!(uneven.seconds <= 1.25 * ideal, "{paces:?}: {uneven:?}, and ideal are {ideal} s");
+        }
+    }
+
+    /// Of a job and one twice as long, the difference is what is done when nobody is a newcomer any more. Fails if the proven are
+    /// checked like newcomers.
+    #[test]
+    fn checks_of_the_proven_cost_a_tenth_at_most() {
+        let tracing = |spp| simulate_crew(&spec(spp), &[1.0; 4], 0.05, &costs()).unwrap().tracing;
+        let work = 256.0 * 256.0 * f64::from(1 << 14) * 1e-6;
+        let again = (tracing(1 << 15) - tracing(1 << 14)) / work - 1.0;
+        assert!((0.03..0.1).contains(&again), "{again}");
     }
 
     #[test]

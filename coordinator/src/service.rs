@@ -22,7 +22,7 @@ use tilecast_core::film::sums;
 use tilecast_core::scene::Digest;
 use tilecast_proto::limits::STREAM_IDLE_MS_MAX;
 use tilecast_proto::types::{JobId, JobState, ResultHeader, Verdict, WorkerId, WorkerInfo};
-use tokio::sync::Notify;
+use tokio::sync::{Notify, Semaphore};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use tonic::{Status, Streaming};
@@ -31,6 +31,10 @@ pub(crate) use jobs::{Jobs, bring_back};
 #[cfg(test)]
 pub(crate) use jobs::{submit, whole_film};
 pub(crate) use work::Work;
+
+/// Blobs on their way to workers at a time, the others in the order in which they were asked for: the first workers begin
+/// soon, where a thousand that shared the line would all begin at its end. Two workers' requests.
+const BLOBS_SENT_MAX: usize = 16;
 
 /// See the module.
 #[derive(Debug)]
@@ -41,6 +45,8 @@ pub(crate) struct Shared {
     pub(crate) store: Option<Arc<Store>>,
     /// Blobs kept for jobs that have not ended.
     pinned: Mutex<HashMap<JobId, Vec<Digest>>>,
+    /// Turns in sending blobs to workers.
+    blobs_sent: Semaphore,
     /// Held while a job is let in, so that two do not take the same room.
     submitting: Mutex<()>,
     epoch: Duration,
@@ -86,6 +92,7 @@ impl Shared {
             blobs: Mutex::new(Blobs::new(config.blob_bytes_max)),
             store,
             pinned: Mutex::default(),
+            blobs_sent: Semaphore::new(BLOBS_SENT_MAX),
             submitting: Mutex::default(),
             epoch: config.epoch,
             started: Instant::now(),

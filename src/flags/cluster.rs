@@ -83,10 +83,21 @@ pub struct WorkerFlags {
     #[arg(long, value_name = "TIME", value_parser = values::time)]
     lifetime: Option<Duration>,
     #[command(flatten)]
+    cache: CacheFlags,
+    #[command(flatten)]
     log: LogFlags,
     /// Ends when standard input does
     #[arg(long, hide = true)]
     exit_with_parent: bool,
+}
+
+/// Where scenes are kept beyond a worker's end.
+#[derive(Args)]
+pub struct CacheFlags {
+    /// Keeps scenes in this folder, which workers may share, such as one on a shared file system: each part is sent to one of
+    /// them, and the others read it there
+    #[arg(long, value_name = "DIR")]
+    pub scene_cache: Option<PathBuf>,
 }
 
 #[derive(Args)]
@@ -152,6 +163,7 @@ impl WorkerFlags {
             name: self.name,
             isa: self.isa.ready()?,
             lifetime: self.lifetime,
+            scene_cache: self.cache.scene_cache,
             exit_with_parent: self.exit_with_parent,
             log: self.log.log_format,
         })

@@ -1,6 +1,6 @@
 //! The flags of `launch`.
 
-use super::cluster::CLIENTS;
+use super::cluster::{CLIENTS, CacheFlags};
 use super::security::ConnectFlags;
 use super::values;
 use crate::launch::{Host, Launch, Scale, Slurm, Ssh};
@@ -22,7 +22,7 @@ Examples:
   tilecast launch ssh node1 node2 me@node3 --connect head:7878 --certs certs
   tilecast launch ssh node1:2 --threads 32 --connect head:7878 --certs certs      two workers there
   tilecast launch ssh node1 --connect head:7878 --dry-run                         what would be run
---certs and --token-file are paths on the hosts. Users, ports and keys are those of ssh's configuration.";
+--certs, --token-file and --scene-cache are paths on the hosts. Users, ports and keys are those of ssh's configuration.";
 
 /// More on one host have no cores to run on.
 const HOST_WORKERS_MAX: u32 = 1024;
@@ -63,6 +63,8 @@ struct SlurmFlags {
     /// Threads of each worker, which are its CPUs for Slurm [default: a whole node]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(THREADS_MAX)))]
     threads: Option<u32>,
+    #[command(flatten)]
+    cache: CacheFlags,
     /// A worker more is worth it for so much work for each of them
     #[arg(long, value_name = "TIME", default_value = "1m", value_parser = values::time)]
     work_each: Duration,
@@ -100,6 +102,8 @@ struct SshFlags {
     /// Threads of each worker [default: all cores of its host]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=i64::from(THREADS_MAX)))]
     threads: Option<u32>,
+    #[command(flatten)]
+    cache: CacheFlags,
     /// tilecast on the hosts
     #[arg(long, value_name = "PATH", default_value = "tilecast")]
     program: String,
@@ -119,8 +123,20 @@ impl LaunchFlags {
 
 impl SlurmFlags {
     fn ready(self) -> anyhow::Result<Launch> {
-        let Self { workers, min, connect, walltime, threads, work_each, patience, name, program, dry_run, sbatch } =
-            self;
+        let Self {
+            workers,
+            min,
+            connect,
+            walltime,
+            threads,
+            cache,
+            work_each,
+            patience,
+            name,
+            program,
+            dry_run,
+            sbatch,
+        } = self;
         let usage = |text: String| Err(super::Usage(text).into());
         if walltime < WALLTIME_MIN {
             return usage("--walltime: Slurm counts minutes; give at least 1m".into());
@@ -132,6 +148,10 @@ impl SlurmFlags {
             || Ok(std::env::current_exe().context("this program's own file cannot be found")?.display().to_string());
         let mut flags = connect.words()?;
         flags.extend(threads.map(|n| ["--threads".to_owned(), n.to_string()]).into_iter().flatten());
+        if let Some(folder) = cache.scene_cache {
+            let absolute = std::path::absolute(&folder).context("--scene-cache has no place")?;
+            flags.extend(["--scene-cache".to_owned(), absolute.display().to_string()]);
+        }
         Ok(Launch::Slurm(Slurm {
             connector: connect.ready(&CLIENTS)?,
             flags,
@@ -148,13 +168,14 @@ impl SlurmFlags {
 
 impl SshFlags {
     fn ready(self) -> anyhow::Result<Launch> {
-        let Self { hosts, connect, certs, token_file, threads, program, dry_run } = self;
+        let Self { hosts, connect, certs, token_file, threads, cache, program, dry_run } = self;
         let path = |path: PathBuf| path.display().to_string();
         let flags = [
             ("--connect", Some(connect)),
             ("--certs", certs.map(path)),
             ("--token-file", token_file.map(path)),
             ("--threads", threads.map(|n| n.to_string())),
+            ("--scene-cache", cache.scene_cache.map(path)),
         ];
         let given = flags.into_iter().filter_map(|(flag, value)| Some([flag.to_owned(), value?]));
         Ok(Launch::Ssh(Ssh { hosts, program, flags: given.flatten().collect(), dry_run }))

@@ -1,13 +1,14 @@
 //! The worker of tilecast: asks a coordinator for units of work, traces them, brings the sums back.
 //!
 //! [`run`] keeps a session with the coordinator, for as long as it takes to reach it; [`scenes`] fetches and compiles scenes,
-//! once each; the pool is the one bridge between the async session and the threads that trace. A worker keeps nothing that
+//! once each, [`shelf`] shares them among workers; the pool is the one bridge between the async session and the threads that trace. A worker keeps nothing that
 //! matters: whatever it loses, another does again.
 
 mod bench;
 mod pool;
 pub mod scenes;
 mod session;
+pub mod shelf;
 
 use backon::{BackoffBuilder, ExponentialBuilder};
 use bench::Bench;

@@ -1,9 +1,11 @@
 //! Scenes: fetched once, compiled once, kept for the jobs to come.
 //!
 //! A scene that shares meshes or images with one that is kept, such as the same room from another camera, fetches only what
-//! differs.
+//! differs. Where workers share a [`Shelf`], they look there first, and again when the coordinator, which serves so many at a
+//! time, begins to send.
 
 use crate::pool::Pool;
+use crate::shelf::Shelf;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tilecast_core::bvh::simd::Isa;
@@ -17,7 +19,7 @@ use tilecast_proto::transport::Line;
 use tilecast_proto::types::JobWork;
 use tilecast_proto::wire::BlobRequest;
 use tilecast_proto::wire::work_client::WorkClient;
-use tokio::task::JoinSet;
+use tokio::task::{JoinSet, spawn_blocking};
 
 /// Scenes kept: the one that is rendered, and a few that may come again.
 const SCENES_MAX: usize = 4;
@@ -31,6 +33,7 @@ const FETCHES_MAX: usize = 8;
 pub struct SceneCache {
     /// The last used at the end.
     kept: Mutex<Vec<Kept>>,
+    shelf: Option<Shelf>,
 }
 
 struct Kept {
@@ -66,6 +69,11 @@ pub enum PrepareError {
 }
 
 impl SceneCache {
+    /// An empty one, with a shelf that it shares with other workers.
+    pub fn with_shelf(shelf: Shelf) -> Self {
+        Self { shelf: Some(shelf), ..Self::default() }
+    }
+
     /// Keeps a scene that was compiled elsewhere in this process: it will not be fetched.
     pub fn insert(&self, digest: Digest, world: Arc<World>) {
         self.keep(Kept { digest, world, blobs: HashMap::new() });
@@ -124,7 +132,8 @@ async fn world(
     if let Some(world) = cache.get(&digest) {
         return Ok(world);
     }
-    let manifest = fetch(work.clone(), digest).await?;
+    let shelf = cache.shelf.as_ref();
+    let manifest = fetch(shelf.cloned(), work.clone(), digest).await?;
     let mut blobs = HashMap::new();
     let mut missing = Vec::new();
     for part in Scene::parts_of(&manifest)? {
@@ -133,7 +142,7 @@ async fn world(
             None => missing.push(part),
         }
     }
-    fetch_all(&work, missing, &mut blobs).await?;
+    fetch_all(shelf, &work, missing, &mut blobs).await?;
     pool.run(move || compile(&cache, digest, &manifest, blobs)).await.ok_or(PrepareError::Panicked)?
 }
 
@@ -151,6 +160,7 @@ fn compile(
 }
 
 async fn fetch_all(
+    shelf: Option<&Shelf>,
     work: &WorkClient<Line>,
     digests: Vec<Digest>,
     into: &mut HashMap<Digest, Arc<[u8]>>,
@@ -161,8 +171,8 @@ async fn fetch_all(
         while fetches.len() < FETCHES_MAX
             && let Some(digest) = digests.next()
         {
-            let work = work.clone();
-            fetches.spawn(async move { (digest, fetch(work, digest).await) });
+            let (shelf, work) = (shelf.cloned(), work.clone());
+            fetches.spawn(async move { (digest, fetch(shelf, work, digest).await) });
         }
         match fetches.join_next().await {
             Some(Ok((digest, bytes))) => _ = into.insert(digest, bytes?),
@@ -172,19 +182,45 @@ async fn fetch_all(
     }
 }
 
-/// A blob's bytes, checked. Memory grows with what comes, up to the limit; a chunk is hashed in well under a millisecond.
-async fn fetch(mut work: WorkClient<Line>, digest: Digest) -> Result<Arc<[u8]>, PrepareError> {
+/// A blob's bytes, checked: from the shelf, or from the coordinator. Memory grows with what comes, up to the limit; a chunk is
+/// hashed in well under a millisecond.
+async fn fetch(shelf: Option<Shelf>, mut work: WorkClient<Line>, digest: Digest) -> Result<Arc<[u8]>, PrepareError> {
+    if let Some(bytes) = look(&shelf, digest).await? {
+        return Ok(bytes);
+    }
     let failed = |status| PrepareError::Fetch { digest, status: Box::new(status) };
     let request = BlobRequest { digest: digest_bytes(&digest) };
     let mut stream = work.get_blob(request).await.map_err(failed)?.into_inner();
+    let mut next = stream.message().await.map_err(failed)?;
+    // Others may have had their turn meanwhile.
+    if let Some(bytes) = look(&shelf, digest).await? {
+        return Ok(bytes);
+    }
     let mut hasher = blake3::Hasher::new();
     let mut bytes = Vec::new();
-    while let Some(chunk) = stream.message().await.map_err(failed)? {
+    while let Some(chunk) = next {
         hasher.update(&chunk.data);
         bytes.extend_from_slice(&chunk.data);
         if bytes.len() as u64 > BLOB_BYTES_MAX {
             return Err(PrepareError::Damaged(digest));
         }
+        next = stream.message().await.map_err(failed)?;
     }
-    if *hasher.finalize().as_bytes() == digest.0 { Ok(bytes.into()) } else { Err(PrepareError::Damaged(digest)) }
+    if *hasher.finalize().as_bytes() != digest.0 {
+        return Err(PrepareError::Damaged(digest));
+    }
+    tracing::debug!(%digest, bytes = bytes.len(), "a part of a scene was fetched");
+    let bytes: Arc<[u8]> = bytes.into();
+    if let Some(shelf) = shelf {
+        let bytes = Arc::clone(&bytes);
+        // Before it is compiled, so that others find it soon.
+        spawn_blocking(move || shelf.put(&digest, &bytes)).await.map_err(|_| PrepareError::Panicked)?;
+    }
+    Ok(bytes)
+}
+
+/// A blob on the shelf, if there is one.
+async fn look(shelf: &Option<Shelf>, digest: Digest) -> Result<Option<Arc<[u8]>>, PrepareError> {
+    let Some(shelf) = shelf.clone() else { return Ok(None) };
+    spawn_blocking(move || shelf.get(&digest)).await.map_err(|_| PrepareError::Panicked)
 }

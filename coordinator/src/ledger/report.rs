@@ -209,6 +209,11 @@ impl Ledger {
         Some(Lent { worker: id, name: worker.info.name.clone(), fence, unit, since: held.since })
     }
 
+    /// Whether nothing more happens to a job. Costs nothing, unlike [`Ledger::progress`], however many workers there are.
+    pub fn has_ended(&self, id: JobId) -> bool {
+        self.jobs.get(&id).is_none_or(|job| job.state.is_final())
+    }
+
     /// Who has brought what of a job since this ledger was made.
     ///
     /// # Errors

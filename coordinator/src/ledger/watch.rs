@@ -6,12 +6,19 @@ use super::{
 };
 use std::collections::HashSet;
 use std::time::Duration;
-use tilecast_proto::limits::LEASE_SILENCE_MS;
+use tilecast_proto::limits::{HEARTBEAT_MS, HEARTBEAT_MS_MAX, LEASE_SILENCE_MS};
 
 /// Whoever was not heard for so long when its leases lapse has probably died.
 const SILENCE_OF_THE_DEAD: Duration = Duration::from_millis(LEASE_SILENCE_MS * 3 / 5);
+/// So many workers more let all say a millisecond less often that they live: that is most of what a crowd says.
+const HEARTBEAT_CROWD: u64 = 16;
 
 impl Ledger {
+    /// How often a worker is to be heard.
+    pub fn heartbeat_ms(&self) -> u64 {
+        (HEARTBEAT_MS + self.workers.len() as u64 / HEARTBEAT_CROWD).min(HEARTBEAT_MS_MAX)
+    }
+
     /// A worker is alive and names its leases: those are renewed, and it is told which are not its own any more.
     ///
     /// # Errors

@@ -248,7 +248,8 @@ async fn watch(shared: Arc<Shared>, job: JobId, sender: mpsc::Sender<Result<wire
             changed.await;
             loop {
                 let changed = shared.changed.notified();
-                if progress(&shared, job).map_or(true, |p| p.state.is_final()) {
+                // Looked at whenever a result is merged.
+                if shared.with_ledger(|ledger, _| ledger.has_ended(job)) {
                     return;
                 }
                 tokio::select! {

@@ -2,6 +2,7 @@
 
 use super::{Shared, called, lock, next, panicked};
 use crate::events::{About, Kind};
+use crate::ledger::LedgerError;
 use crate::otlp::way::{Outcome, Step, Way};
 use bytes::{Bytes, BytesMut};
 use std::sync::Arc;
@@ -9,7 +10,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 use tilecast_proto::client::chunks;
 use tilecast_proto::convert::{self, WireError};
-use tilecast_proto::limits::{HEARTBEAT_MS, LEASE_WAIT_MS};
+use tilecast_proto::limits::{LEASE_WAIT_MS, STREAM_IDLE_MS_MAX};
 use tilecast_proto::types::{
     Failure, Fence, Heartbeat, JobId, LeaseRequest, Leave, ResultHeader, Verdict, WorkerId, WorkerInfo,
 };
@@ -19,27 +20,33 @@ use tilecast_proto::wire::{
     ResultChunk, SubmitReply, Welcome,
 };
 use tilecast_proto::{types, wire};
+use tokio::sync::mpsc;
 use tokio::time::Instant;
-use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
 /// See `Work` in `render.proto`.
 pub(crate) struct Work(pub(crate) Arc<Shared>);
 
-/// Chunks that are at hand.
-type Chunks = std::pin::Pin<Box<dyn Stream<Item = Result<Chunk, Status>> + Send>>;
+/// Chunks of a blob that wait for a slow worker: the next one is ready while one is sent.
+const QUEUE_LEN: usize = 2;
+/// Who reads nothing of a blob for so long is probably gone; others wait.
+const BLOB_PATIENCE: Duration = Duration::from_millis(STREAM_IDLE_MS_MAX);
 
 #[tonic::async_trait]
 impl work_server::Work for Work {
-    type GetBlobStream = Chunks;
+    type GetBlobStream = ReceiverStream<Result<Chunk, Status>>;
 
     async fn register(&self, request: Request<Hello>) -> Result<Response<Welcome>, Status> {
         let info = WorkerInfo::try_from(request.into_inner())?;
-        let worker = self.0.with_ledger(|ledger, now| ledger.register(now, info.clone()))?;
+        let (worker, heartbeat_ms) = self.0.with_ledger(|ledger, now| {
+            let worker = ledger.register(now, info.clone())?;
+            Ok::<_, LedgerError>((worker, ledger.heartbeat_ms()))
+        })?;
         let text = format!("worker {} has come, process {}, {}", called(worker, &info), info.pid, info.isa);
         self.0.tell(Kind::WorkerCame, worker, text);
         self.0.changed.notify_waiters();
-        Ok(Response::new(Welcome { worker: worker.0, heartbeat_ms: HEARTBEAT_MS as u32 }))
+        Ok(Response::new(Welcome { worker: worker.0, heartbeat_ms: heartbeat_ms as u32 }))
     }
 
     async fn lease(&self, request: Request<wire::LeaseRequest>) -> Result<Response<wire::LeaseReply>, Status> {
@@ -135,13 +142,34 @@ impl work_server::Work for Work {
         Ok(Response::new(LeaveReply {}))
     }
 
-    async fn get_blob(&self, request: Request<BlobRequest>) -> Result<Response<Chunks>, Status> {
+    async fn get_blob(&self, request: Request<BlobRequest>) -> Result<Response<Self::GetBlobStream>, Status> {
         let digest = convert::digest(&request.into_inner().digest, "digest")?;
         let missing = || Status::not_found(format!("the coordinator does not have blob {digest}"));
         let bytes = self.0.blobs().get(&digest).ok_or_else(missing)?;
-        self.0.traffic.scenes_out.fetch_add(bytes.len() as u64, Relaxed);
-        let stream = tokio_stream::iter(chunks(bytes).map(|data| Ok(Chunk { data })));
-        Ok(Response::new(Box::pin(stream)))
+        let (sender, receiver) = mpsc::channel(QUEUE_LEN + 1);
+        tokio::spawn(send_blob(Arc::clone(&self.0), bytes, sender));
+        Ok(Response::new(ReceiverStream::new(receiver)))
+    }
+}
+
+/// Sends a blob when its turn comes. Whoever does not read loses its turn, and is told why.
+async fn send_blob(shared: Arc<Shared>, bytes: Bytes, sender: mpsc::Sender<Result<Chunk, Status>>) {
+    // Room for that, however full the queue is.
+    let Ok(farewell) = sender.clone().reserve_owned().await else { return };
+    let _turn = tokio::select! {
+        Ok(turn) = shared.blobs_sent.acquire() => turn,
+        () = sender.closed() => return,
+    };
+    for data in chunks(bytes) {
+        let len = data.len();
+        match tokio::time::timeout(BLOB_PATIENCE, sender.send(Ok(Chunk { data }))).await {
+            Ok(Ok(())) => _ = shared.traffic.scenes_out.fetch_add(len as u64, Relaxed),
+            Ok(Err(_)) => return,
+            Err(_) => {
+                farewell.send(Err(Status::deadline_exceeded("the blob was not read for too long")));
+                return;
+            }
+        }
     }
 }
 
