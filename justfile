@@ -12,15 +12,26 @@ test:
 system module="":
     cargo test --release --test system -- {{module}}
 
-# The long tests of the cluster: real processes killed 100 times each, 100 liars, 10,000 simulated clusters. Hours.
+# The long tests of the cluster: real processes killed 100 times each, 100 liars, what safety costs, a flood of a minute, 10,000
+# simulated clusters. Hours. What is measured is on stderr; the machine should have nothing else to do meanwhile.
 soak:
-    TILECAST_RUNS=100 cargo test --release --test system -- faults liars
+    TILECAST_RUNS=100 cargo test --release --test system -- faults liars --nocapture
+    TILECAST_RUNS=100 cargo test --release --test system -- costs flood --nocapture --test-threads 1
     TILECAST_SEEDS=10000 cargo test --release -p tilecast-coordinator sim
 
+# So many workers over gRPC: what one costs the coordinator, and so what 10,000 would. Each takes two open files here.
+crowd workers="2000":
+    TILECAST_CROWD={{workers}} cargo test --release --test system -- crowd --nocapture
+
+# Cuts the link between coordinator and workers for 1 to 30 s, several times. Needs root and iproute2; says so where it cannot run.
+netns:
+    cargo build --release
+    bash tests/netns/run.sh
+
 # Ten minutes of made-up bytes for each reader of files, the wire and the journal (needs nightly Rust and `cargo install cargo-fuzz`).
-# What is found goes to fuzz/corpus, which ordinary tests replay; only keep what is small.
+# What is found goes to fuzz/corpus, which ordinary tests replay; only keep what is small. In memory, files cost a tenth.
 fuzz seconds="600":
-    for target in xml obj ply serialized texture wire film journal; do \
+    export TMPDIR=/dev/shm RAYON_NUM_THREADS=1; for target in xml obj ply serialized texture wire film journal; do \
         (cd fuzz && cargo +nightly fuzz run --fuzz-dir . --sanitizer none $target -- -max_total_time={{seconds}} -max_len=20000 -rss_limit_mb=2048 -timeout=10) || exit 1; \
     done
 

@@ -2,10 +2,12 @@
 //!
 //! TILECAST_RUNS says how often each is done: few in CI, a hundred by `just soak`.
 
-use crate::harness::{Folder, Running, coordinator_with, free_address, poll, scene};
+use crate::harness::{Folder, Running, coordinator_with, free_address, is_soak, poll, scene};
 use serde_json::Value;
 use std::collections::hash_map::RandomState;
 use std::hash::BuildHasher;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::{Duration, Instant};
 use tilecast_core::sampler::mix64;
 
@@ -132,8 +134,65 @@ fn a_worker_that_is_stopped_for_a_while_changes_nothing() {
     poll("the coordinator to forget it", || cluster.status(&folder, "worker").is_empty().then_some(()));
     assert!(begun.elapsed() < Duration::from_secs(10), "{:?}", begun.elapsed());
     let _helper = worker(&folder, &address);
+    if is_soak() {
+        std::thread::sleep(Duration::from_secs(30).saturating_sub(begun.elapsed()));
+    }
     sleeper.signal("CONT");
     assert_eq!(job.end().finished()["digest"], alone(&folder));
+}
+
+/// Stops a process for nine tenths of the time, until it is dropped.
+#[cfg(unix)]
+struct Slowed(Arc<AtomicBool>);
+
+#[cfg(unix)]
+impl Slowed {
+    fn new(pid: u32) -> Self {
+        use rustix::process::{Pid, Signal, kill_process};
+        let pid = Pid::from_raw(pid.cast_signed()).expect("a process");
+        let end = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&end);
+        std::thread::spawn(move || {
+            while !ends.load(Relaxed) {
+                for (signal, ms) in [(Signal::STOP, 90), (Signal::CONT, 10)] {
+                    let _ = kill_process(pid, signal);
+                    std::thread::sleep(Duration::from_millis(ms));
+                }
+            }
+        });
+        Self(end)
+    }
+}
+
+#[cfg(unix)]
+impl Drop for Slowed {
+    fn drop(&mut self) {
+        self.0.store(true, Relaxed);
+    }
+}
+
+/// Beside one that is not slowed down: that one's time alone says what would be ideal. The short form is too short for that,
+/// and `scaling.rs` in the coordinator has the same on simulated time.
+#[cfg(unix)]
+#[test]
+fn a_worker_ten_times_slower_holds_nobody_up() {
+    let spp = if is_soak() { "2048" } else { "96" };
+    let render = |slowed: bool| {
+        let (folder, address) = (Folder::new(), free_address());
+        let _cluster = coordinator_with(&folder, &["--listen", &address]);
+        let _fast = worker(&folder, &address);
+        let slow = slowed.then(|| worker(&folder, &address));
+        let _slowed = slow.as_ref().map(|slow| Slowed::new(slow.pid()));
+        let scene = scene("cornell-box/scene.xml");
+        let args = ["submit", &scene, "--json", "--connect", &address, "--size", "96x96", "--spp", spp, "--tile", "32"];
+        folder.start(args).end().finished()
+    };
+    let (alone, both) = (render(false), render(true));
+    assert_eq!(alone["digest"], both["digest"]);
+    let seconds = |event: &Value| event["seconds"].as_f64().expect("a time");
+    let ideal = seconds(&alone) / 1.1;
+    eprintln!("{:.2} s, and ideal are {ideal:.2} s", seconds(&both));
+    assert!(!is_soak() || seconds(&both) <= 1.25 * ideal, "{both}, and ideal are {ideal} s");
 }
 
 #[test]

@@ -273,6 +273,30 @@ pub fn children(pid: u32) -> Vec<u32> {
     pids.filter(|&child| parent(child) == Some(pid)).collect()
 }
 
+/// Seconds that a process has had of processors. In the long run they tell more than a clock on a machine that does other
+/// things, too.
+#[cfg(target_os = "linux")]
+pub fn cpu_seconds(pid: u32) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("a process");
+    let fields: Vec<&str> = stat.rsplit_once(')').expect("a name").1.split_whitespace().collect();
+    let ticks = |field: &str| field.parse::<f64>().expect("ticks");
+    // In hundredths, on every Linux.
+    (ticks(fields[11]) + ticks(fields[12])) / 100.0
+}
+
+/// As many open files as one may have, for tests with many connections.
+#[cfg(unix)]
+pub fn open_many_files() {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let limits = getrlimit(Resource::Nofile);
+    setrlimit(Resource::Nofile, Rlimit { current: limits.maximum, ..limits }).expect("what one may have");
+}
+
+/// Whether tests shall be as long as `just soak` wants them.
+pub fn is_soak() -> bool {
+    std::env::var("TILECAST_RUNS").is_ok_and(|runs| runs.parse::<u32>().is_ok_and(|runs| runs >= 100))
+}
+
 /// Whether a process is there, and more than a zombie.
 #[cfg(target_os = "linux")]
 pub fn is_alive(pid: u32) -> bool {

@@ -16,6 +16,12 @@ mod cluster;
 /// Images against images: distances, verdicts, and what cannot be compared.
 #[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
 mod compare;
+/// What safety costs.
+#[cfg(target_os = "linux")]
+mod costs;
+/// Thousands of workers.
+#[cfg(target_os = "linux")]
+mod crowd;
 /// What deploy/ starts.
 mod deploy;
 /// One image, whatever computed it: threads, processes, tiles, instruction sets, losses.
@@ -42,6 +48,9 @@ mod pages;
 /// Images gone on with, joined and interrupted.
 #[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
 mod references;
+/// Scenes on their way to many workers.
+#[cfg(test)] // Lets clippy know that `unwrap` is a test's here.
+mod sharing;
 /// The viewer that tiles are sent to.
 mod tev;
 /// The live page, and what monitors ask.
