@@ -31,7 +31,7 @@ netns:
 # Ten minutes of made-up bytes for each reader of files, the wire and the journal (needs nightly Rust and `cargo install cargo-fuzz`).
 # What is found goes to fuzz/corpus, which ordinary tests replay; only keep what is small. In memory, files cost a tenth.
 fuzz seconds="600":
-    export TMPDIR=/dev/shm RAYON_NUM_THREADS=1; for target in xml obj ply serialized texture wire film journal; do \
+    export TMPDIR=/dev/shm; for target in xml obj ply serialized texture wire film journal; do \
         (cd fuzz && cargo +nightly fuzz run --fuzz-dir . --sanitizer none $target -- -max_total_time={{seconds}} -max_len=20000 -rss_limit_mb=2048 -timeout=10) || exit 1; \
     done
 
