@@ -113,7 +113,7 @@ impl<'a, N: AsyncFnMut() -> News> Line<'a, N> {
         let settings = order.job.settings.clone();
         let id = match known {
             Some(id) => id,
-            None => self.client.submit(order.job).await?,
+            None => self.hand_over(order.job, report).await?,
         };
         self.jobs.push(id);
         let stop = self.stop.clone();
@@ -135,6 +135,38 @@ impl<'a, N: AsyncFnMut() -> News> Line<'a, N> {
             }
         }
         fetch(self.client, id).await.context("the finished image could not be fetched")
+    }
+
+    /// Queues a job, at a coordinator that may go away meanwhile: what it has taken without saying so is in its list then.
+    async fn hand_over(&mut self, job: JobSpec, report: &mut Report) -> anyhow::Result<JobId> {
+        let is_it = |other: &Progress| {
+            let same = other.scene == job.scene && other.settings == job.settings && other.name == job.name;
+            same && !other.state.is_final()
+        };
+        let mut delays = backoff();
+        let mut handed_over = self.client.submit(job.clone()).await;
+        loop {
+            match handed_over {
+                Ok(id) => return Ok(id),
+                Err(ClientError::Call(status)) if is_lost(status.code()) => {}
+                Err(ClientError::Connect(_)) => {}
+                Err(error) => return Err(error.into()),
+            }
+            tokio::select! {
+                () = tokio::time::sleep(delays.next().unwrap_or(RETRY_MAX)) => {}
+                () = self.stop.cancelled() => return Err(Stopped.into()),
+                told = (self.news)() => match told {
+                    News::Warning(text) => report.warning(&text),
+                    News::Fatal(error) => return Err(error),
+                },
+            }
+            let taken = self.client.jobs().await.map(|jobs| jobs.into_iter().rev().find(is_it));
+            handed_over = match taken {
+                Ok(Some(other)) => Ok(other.job),
+                Ok(None) => self.client.submit(job.clone()).await,
+                Err(error) => Err(error),
+            };
+        }
     }
 
     /// Follows a job to its good end. A coordinator that goes away is waited for: one with a state goes on when it is started
@@ -303,6 +335,11 @@ fn backoff() -> ExponentialBackoff {
 /// Whether trying again will not help.
 fn is_final(code: Code) -> bool {
     matches!(code, Code::PermissionDenied | Code::Unauthenticated | Code::InvalidArgument | Code::FailedPrecondition)
+}
+
+/// Whether a connection broke, as opposed to an answer.
+fn is_lost(code: Code) -> bool {
+    matches!(code, Code::Unavailable | Code::Unknown | Code::Cancelled | Code::DeadlineExceeded)
 }
 
 /// The film, from a coordinator that may go away meanwhile.

@@ -96,6 +96,7 @@ async fn work(address: &str, instance: u64, answers: &Answers) {
                     unit,
                     // Units are cut to take about a second.
                     trace: Duration::from_secs(1),
+                    waited: Duration::ZERO,
                     bytes: data.len(),
                 };
                 let chunk = wire::ResultChunk { header: Some(header.into()), data: data.into() };

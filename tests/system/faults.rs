@@ -222,8 +222,8 @@ fn a_client_is_told_when_its_job_is_lost_for_good() {
     let folder = Folder::new();
     let address = free_address();
     let cluster = coordinator_with(&folder, &["--listen", &address]);
-    let mut job = submit(&folder, &address);
-    job.event("started");
+    let job = submit(&folder, &address);
+    poll("the job at the coordinator", || cluster.status(&folder, "job").first().map(|_| ()));
     cluster.process.signal("KILL");
     drop(cluster);
     let _other = coordinator_with(&folder, &["--listen", &address]);
