@@ -65,6 +65,9 @@ impl Entry {
         let (record, rest) = postcard::take_from_bytes(&bytes).ok()?;
         let sums = bytes.len() - rest.len();
         Some(match record {
+            Record::Unit { tile, samples, .. } if tile.x0 >= tile.x1 || tile.y0 >= tile.y1 || samples.is_empty() => {
+                return None;
+            }
             Record::Unit { tile, samples, contributor } => {
                 Self::Unit { tile, samples, contributor, sums: bytes::Bytes::from(bytes).slice(sums..) }
             }
