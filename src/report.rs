@@ -83,6 +83,8 @@ enum Event<'a> {
         /// A whole number where all pixels have as many.
         spp: Value,
         samples: &'a str,
+        /// By this run, over all pixels, those of a pilot included.
+        samples_traced: u64,
         seconds: f64,
         samples_per_second: f64,
         #[serde(flatten)]
@@ -255,6 +257,7 @@ impl Report {
             digest: &digest,
             spp: if spp.fract() == 0.0 { Value::from(spp as u64) } else { Value::from(spp) },
             samples: &samples,
+            samples_traced: self.expected.0 + progress.map_or(0, |progress| progress.samples_done),
             seconds,
             samples_per_second: rate,
             error: relative_error.into(),

@@ -21,13 +21,13 @@ use tilecast_core::film::ranges::Ranges;
 use tilecast_core::settings::{Half, Settings, Window};
 use tilecast_proto::limits::RANGES_MAX;
 
-/// Side of the tiles that get counts of their own, in pixels: enough pixels that four replicates tell their noise well, and
+/// Side of the tiles that get counts of their own, in pixels: enough pixels that two replicates tell their noise well, and
 /// few enough that noise differs between tiles. Doubled for pictures that would have too many.
-const SIDE: u32 = 16;
+const SIDE: u32 = 8;
 /// The pilot begins with so many samples a pixel, one for each replicate.
 const PILOT_FIRST: u32 = 4;
 /// The pilot grows until it is this part of what it predicts…
-const PILOT_SHARE: f64 = 1.0 / 16.0;
+const PILOT_SHARE: f64 = 1.0 / 32.0;
 /// … and no further than this.
 const PILOT_MAX: u32 = 1 << 12;
 /// Both halves are traced to this part of what the pilot predicts before they decide for each other: late enough that the
@@ -94,15 +94,11 @@ enum State {
         pilot: (u32, Noise),
         counts: Vec<u32>,
     },
-    /// Both halves to the smaller of their counts.
-    Common {
+    /// One half after the other to the counts that the other one chose.
+    Last {
         film: Film,
+        half: Half,
         from: Vec<u32>,
-        halves: [Vec<u32>; 2],
-    },
-    /// The larger half to its own.
-    Rest {
-        film: Film,
         halves: [Vec<u32>; 2],
     },
     Done(Box<Reached>),
@@ -149,16 +145,10 @@ impl Search {
                 Some(step)
             }
             State::First { counts, .. } => Some(step(counts.iter().map(|&n| 0..n).collect(), Half::Both)),
-            State::Common { from, halves, .. } => {
-                let [first, second] = halves;
-                let ends = first.iter().zip(second).map(|(&a, &b)| a.min(b));
-                Some(step(from.iter().zip(ends).map(|(&from, end)| from..end).collect(), Half::Both))
-            }
-            State::Rest { halves, .. } => {
-                let (half, smaller, larger) = rest(halves);
+            State::Last { half, from, halves, .. } => {
                 // A half's own indices: it has two of four replicates.
-                let ranges = smaller.iter().zip(larger).map(|(&from, &to)| from / 2..to / 2);
-                Some(step(ranges.collect(), half))
+                let to = of_half(halves, *half);
+                Some(step(from.iter().zip(to).map(|(&from, &to)| from / 2..to / 2).collect(), *half))
             }
             State::Done(_) => None,
         }
@@ -172,13 +162,10 @@ impl Search {
         self.state = match std::mem::replace(&mut self.state, placeholder) {
             State::Pilot { film: so_far, count, history } => self.pilot(so_far, count, history, film),
             State::First { pilot, counts } => self.exchange(pilot, counts, film),
-            State::Common { film: mut all, halves, .. } => {
+            State::Last { film: mut all, half, from, halves } => {
                 all.join(&film);
-                self.rest_or_done(all, halves)
-            }
-            State::Rest { film: mut all, halves } => {
-                all.join(&film);
-                self.done(all, halves)
+                let left: &[Half] = if half == Half::First { &[Half::Second] } else { &[] };
+                self.last(all, left, from, halves)
             }
             State::Done(reached) => State::Done(reached),
         };
@@ -202,44 +189,51 @@ impl Search {
         };
         let count = (2 * count).max(PILOT_FIRST);
         history.push((count, Noise::of(&film, Half::Both, &self.tiles)));
-        let Some(model) = self.predict(&history) else { return State::Pilot { film: Some(film), count, history } };
-        let predicted = model.mean_count();
-        if f64::from(count) < PILOT_SHARE * predicted && count < PILOT_MAX {
+        let Some((model, counts)) = self.predict(&history) else {
+            return State::Pilot { film: Some(film), count, history };
+        };
+        if f64::from(count) < PILOT_SHARE * model.mean(&counts) && count < PILOT_MAX {
             return State::Pilot { film: Some(film), count, history };
         }
-        let counts = model.counts(FIRST_SHARE);
+        let counts = counts.iter().map(|n| in_sets(FIRST_SHARE * n)).collect();
         let noise = history.pop().map_or_else(|| Noise::of(&film, Half::Both, &self.tiles), |(_, noise)| noise);
         State::First { pilot: (count, noise), counts }
     }
 
-    /// The counts that a pilot predicts; `None` while it says too little.
-    fn predict(&self, history: &[(u32, Noise)]) -> Option<Model> {
+    /// What a pilot predicts, and the counts; `None` while it says too little.
+    fn predict(&self, history: &[(u32, Noise)]) -> Option<(Model, Vec<f64>)> {
         let (count, noise) = history.last()?;
         // Two doublings tell more than one, and more would tell of counts that are far away.
         let (earlier, before) = history.iter().rev().take(3).skip(1).last()?;
         let factor = f64::from(*count) / f64::from(*earlier);
         let rate = noise::rate(before.total(self.target), noise.total(self.target), factor);
-        Some(noise.model(self.target, f64::from(*count), rate, AIM))
+        let at_one = noise.at_one(&vec![*count; self.tiles.len()], rate);
+        let model = Model::new(&at_one, self.target, rate);
+        let counts = model.counts(&at_one, &vec![0; self.tiles.len()], AIM);
+        Some((model, counts))
     }
 
-    /// Each half's noise decides the other's counts.
+    /// Each half's noise decides the other's counts; where samples go, pilot and half decide together.
     fn exchange(&self, (pilot_count, pilot): (u32, Noise), counts: Vec<u32>, film: Film) -> State {
         let decided_by = |half: Half| -> Vec<u32> {
             let noise = Noise::of(&film, half, &self.tiles);
-            let growth = noise.growth(&pilot, f64::from(pilot_count), &counts, self.target, AIM).clamp(1.0, GROWTH_MAX);
-            counts.iter().map(|&n| in_sets(f64::from(n) * growth)).collect()
+            let rate = noise.rate_since(&pilot, pilot_count, &counts, self.target);
+            let seen = noise.at_one(&counts, rate);
+            let model =
+                Model::new(&seen.with(&pilot.at_one(&vec![pilot_count; counts.len()], rate)), self.target, rate);
+            let wanted = model.counts(&seen, &counts, AIM);
+            wanted.iter().zip(&counts).map(|(&n, &first)| in_sets(n.min(GROWTH_MAX * f64::from(first)))).collect()
         };
         let halves = [decided_by(Half::Second), decided_by(Half::First)];
-        let grows = |i: usize| halves[0][i].min(halves[1][i]) > counts[i];
-        if (0..counts.len()).any(grows) {
-            State::Common { film, from: counts, halves }
-        } else {
-            self.rest_or_done(film, halves)
-        }
+        self.last(film, &[Half::First, Half::Second], counts, halves)
     }
 
-    fn rest_or_done(&self, film: Film, halves: [Vec<u32>; 2]) -> State {
-        if halves[0] == halves[1] { self.done(film, halves) } else { State::Rest { film, halves } }
+    /// Goes on with the first of these halves that has something to trace.
+    fn last(&self, film: Film, left: &[Half], from: Vec<u32>, halves: [Vec<u32>; 2]) -> State {
+        match left.iter().find(|&&half| *of_half(&halves, half) != from) {
+            Some(&half) => State::Last { film, half, from, halves },
+            None => self.done(film, halves),
+        }
     }
 
     fn done(&self, mut film: Film, halves: [Vec<u32>; 2]) -> State {
@@ -265,26 +259,22 @@ impl Search {
         match &self.state {
             State::Pilot { history, .. } => {
                 let pixels: f64 = (0..self.tiles.len()).map(area).sum();
-                self.predict(history).map(|model| pixels * model.mean_count() * (1.0 + PILOT_SHARE))
+                self.predict(history).map(|(model, counts)| pixels * model.mean(&counts) * (1.0 + PILOT_SHARE))
             }
             State::First { counts, .. } => Some(traced + total(counts) / FIRST_SHARE),
-            State::Common { from, halves, .. } => {
-                Some(traced - total(from) + 0.5 * (total(&halves[0]) + total(&halves[1])))
+            State::Last { half, from, halves, .. } => {
+                let left = |to: &Vec<u32>| 0.5 * (total(to) - total(from));
+                let first = if *half == Half::First { left(&halves[0]) } else { 0.0 };
+                Some(traced + first + left(&halves[1]))
             }
-            State::Rest { halves, .. } => Some(traced + 0.5 * (total(&halves[0]) - total(&halves[1])).abs()),
             State::Done(_) => Some(traced),
         }
     }
 }
 
-/// Whose counts are larger, and both counts, the smaller first. One is larger everywhere: they are multiples of the same.
-fn rest(halves: &[Vec<u32>; 2]) -> (Half, &[u32], &[u32]) {
-    let [first, second] = halves;
-    if first.iter().zip(second).any(|(a, b)| a > b) {
-        (Half::First, second, first)
-    } else {
-        (Half::Second, first, second)
-    }
+/// The counts of the first or the second half.
+fn of_half(halves: &[Vec<u32>; 2], half: Half) -> &Vec<u32> {
+    &halves[usize::from(half == Half::Second)]
 }
 
 /// At least so many samples, in whole sets.

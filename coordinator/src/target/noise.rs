@@ -3,7 +3,7 @@
 //! Model: the variance of a tile's means falls as n^-γ. Independent samples have γ = 1; well distributed ones more, up to 3 where
 //! all is smooth. γ is one for the picture, found from its noise at two counts.
 
-use super::in_sets;
+use super::SPP_MAX;
 use tilecast_core::film::Film;
 use tilecast_core::film::file::Target;
 use tilecast_core::settings::{Half, Window};
@@ -31,11 +31,13 @@ pub struct Noise {
     area: Vec<f64>,
 }
 
-/// What is needed.
+/// How samples are shared out among tiles for a target, and how the noise falls.
 #[derive(Clone, Debug)]
 pub struct Model {
-    /// Samples a pixel, by tile.
-    wanted: Vec<f64>,
+    target: Target,
+    rate: f64,
+    /// By tile, relative to their mean.
+    shares: Vec<f64>,
     area: Vec<f64>,
 }
 
@@ -69,62 +71,23 @@ impl Noise {
         }
     }
 
-    /// What the target takes, from the noise at `count` samples a pixel.
-    pub fn model(&self, target: Target, count: f64, rate: f64, aim: f64) -> Model {
-        let mean = self.variance.iter().sum::<f64>() / self.area.iter().sum::<f64>();
-        let shares: Vec<f64> = match target {
-            // Least samples for a sum of variances: Lagrange gives n^(1+γ) ∝ variance.
-            Target::Image(_) => {
-                let density = |(v, area): (&f64, &f64)| (v / area + UNSEEN * mean).max(0.0).powf(1.0 / (1.0 + rate));
-                self.variance.iter().zip(&self.area).map(density).collect()
-            }
-            // All equally well.
-            Target::Pixels(_) => self.relative().iter().map(|e| e.max(1e-12).powf(1.0 / rate)).collect(),
-        };
-        let shares = bounded(&shares, &self.area);
-        let even = vec![count; shares.len()];
-        let scale = self.scale(&even, &shares, target, rate, aim);
-        Model { wanted: shares.iter().map(|share| share * scale).collect(), area: self.area.clone() }
+    /// What it would be with one sample a pixel, where it is this with `counts`.
+    pub fn at_one(&self, counts: &[u32], rate: f64) -> Self {
+        let scaled = |(v, &n): (&f64, &u32)| v * f64::from(n).powf(rate);
+        Self { variance: self.variance.iter().zip(counts).map(scaled).collect(), ..self.clone() }
     }
 
-    /// By how much `counts`, at which this is the noise, have to grow. `pilot` is the noise at `pilot_count`, for the rate.
-    pub fn growth(&self, pilot: &Noise, pilot_count: f64, counts: &[u32], target: Target, aim: f64) -> f64 {
-        let counts: Vec<f64> = counts.iter().map(|&n| f64::from(n)).collect();
-        let rate = self.rate_since(pilot, pilot_count, &counts, target);
-        self.scale(&counts, &counts, target, rate, aim)
-    }
-
-    /// The factor by which `shares` have to be multiplied to be the counts that reach the target, where this is the noise at
-    /// `counts`.
-    fn scale(&self, counts: &[f64], shares: &[f64], target: Target, rate: f64, aim: f64) -> f64 {
-        match target {
-            Target::Image(error) => {
-                let goal = (aim * f64::from(error)).powi(2) * self.power.iter().sum::<f64>();
-                let at_one: f64 = (self.variance.iter().zip(counts).zip(shares))
-                    .map(|((v, n), share)| v * (n / share).powf(rate))
-                    .sum();
-                if goal > 0.0 && at_one > 0.0 { (at_one / goal).powf(1.0 / rate) } else { 1.0 }
-            }
-            Target::Pixels(error) => {
-                let goal = (aim * f64::from(error)).powi(2);
-                let needs = self.relative().into_iter().zip(counts).zip(shares).zip(&self.area);
-                let mut needs: Vec<(f64, f64)> =
-                    needs.map(|(((e, n), share), area)| (n / share * (e / goal).powf(1.0 / rate), *area)).collect();
-                needs.sort_by(|a, b| a.0.total_cmp(&b.0));
-                let mut left = PIXELS_REACHING * self.area.iter().sum::<f64>();
-                let at = needs.iter().position(|(_, area)| {
-                    left -= area;
-                    left <= 0.0
-                });
-                at.map_or(1.0, |at| needs[at].0)
-            }
-        }
+    /// The mean of two looks at the same picture.
+    pub fn with(&self, other: &Noise) -> Self {
+        let mean = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect();
+        let (variance, power) = (mean(&self.variance, &other.variance), mean(&self.power, &other.power));
+        Self { variance, power, area: self.area.clone() }
     }
 
     /// γ between a pilot and this, whose tiles have different counts: by bisection.
-    fn rate_since(&self, pilot: &Noise, pilot_count: f64, counts: &[f64], target: Target) -> f64 {
+    pub fn rate_since(&self, pilot: &Noise, pilot_count: u32, counts: &[u32], target: Target) -> f64 {
         let of = |rate: f64| {
-            let scaled = |(v, n): (&f64, &f64)| v * (pilot_count / n).powf(rate);
+            let scaled = |(v, &n): (&f64, &u32)| v * (f64::from(pilot_count) / f64::from(n)).powf(rate);
             let variance = pilot.variance.iter().zip(counts).map(scaled).collect();
             Noise { variance, ..pilot.clone() }.total(target)
         };
@@ -146,15 +109,74 @@ impl Noise {
 }
 
 impl Model {
-    /// Samples a pixel, on average.
-    pub fn mean_count(&self) -> f64 {
-        let total: f64 = self.wanted.iter().zip(&self.area).map(|(n, area)| n * area).sum();
-        total / self.area.iter().sum::<f64>()
+    /// For noise as it is with one sample a pixel.
+    pub fn new(at_one: &Noise, target: Target, rate: f64) -> Self {
+        let mean = at_one.variance.iter().sum::<f64>() / at_one.area.iter().sum::<f64>();
+        let shares: Vec<f64> = match target {
+            // Least samples for a sum of variances: Lagrange gives n^(1+γ) ∝ variance.
+            Target::Image(_) => {
+                let density = |(v, area): (&f64, &f64)| (v / area + UNSEEN * mean).max(0.0).powf(1.0 / (1.0 + rate));
+                at_one.variance.iter().zip(&at_one.area).map(density).collect()
+            }
+            // All equally well.
+            Target::Pixels(_) => at_one.relative().iter().map(|e| e.max(1e-12).powf(1.0 / rate)).collect(),
+        };
+        Self { target, rate, shares: bounded(&shares, &at_one.area), area: at_one.area.clone() }
     }
 
-    /// This part of what is needed, in whole sets.
-    pub fn counts(&self, part: f64) -> Vec<u32> {
-        self.wanted.iter().map(|&n| in_sets(part * n)).collect()
+    /// The samples a pixel that each tile needs for `aim` times the target's error, where this is the noise with one; a tile has
+    /// `least` already.
+    pub fn counts(&self, at_one: &Noise, least: &[u32], aim: f64) -> Vec<f64> {
+        let scale = match self.target {
+            Target::Image(error) => {
+                let goal = (aim * f64::from(error)).powi(2) * at_one.power.iter().sum::<f64>();
+                self.scale_for_sum(&at_one.variance, least, goal)
+            }
+            Target::Pixels(error) => {
+                let goal = (aim * f64::from(error)).powi(2);
+                let needs: Vec<f64> = at_one.relative().iter().map(|e| (e / goal).powf(1.0 / self.rate)).collect();
+                self.scale_for_most(&needs, least)
+            }
+        };
+        self.shares.iter().zip(least).map(|(share, &least)| (share * scale).max(f64::from(least))).collect()
+    }
+
+    /// The factor for the shares at which the sum of the tiles' variances is the goal: by bisection of its logarithm.
+    fn scale_for_sum(&self, at_one: &[f64], least: &[u32], goal: f64) -> f64 {
+        if goal <= 0.0 {
+            return 1.0;
+        }
+        let sum = |scale: f64| -> f64 {
+            let tiles = at_one.iter().zip(&self.shares).zip(least);
+            tiles.map(|((v, share), &least)| v * (share * scale).max(f64::from(least)).powf(-self.rate)).sum()
+        };
+        let (mut low, mut high) = (0.0, SPP_MAX.ln());
+        for _ in 0..60 {
+            let middle: f64 = 0.5 * (low + high);
+            if sum(middle.exp()) > goal { low = middle } else { high = middle }
+        }
+        high.exp()
+    }
+
+    /// The factor for the shares at which [`PIXELS_REACHING`] of the picture have what they need.
+    fn scale_for_most(&self, needs: &[f64], least: &[u32]) -> f64 {
+        let tiles = needs.iter().zip(&self.shares).zip(least).zip(&self.area);
+        let mut scales: Vec<(f64, f64)> = tiles
+            .map(|(((need, share), &least), &area)| (if *need > f64::from(least) { need / share } else { 0.0 }, area))
+            .collect();
+        scales.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut left = PIXELS_REACHING * self.area.iter().sum::<f64>();
+        let reaching = scales.iter().find(|(_, area)| {
+            left -= area;
+            left <= 0.0
+        });
+        reaching.map_or(1.0, |&(scale, _)| scale)
+    }
+
+    /// Samples a pixel, on average over tiles with these counts.
+    pub fn mean(&self, counts: &[f64]) -> f64 {
+        let total: f64 = counts.iter().zip(&self.area).map(|(n, area)| n * area).sum();
+        total / self.area.iter().sum::<f64>()
     }
 }
 
