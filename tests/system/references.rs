@@ -1,7 +1,7 @@
 //! Images that are gone on with, joined, and interrupted: whatever way the samples came together, the bits are those of one
 //! fresh render.
 
-use crate::harness::{Folder, scene};
+use crate::harness::{Folder, coordinator, poll, scene};
 use serde_json::Value;
 
 const SIZE: [&str; 2] = ["--size", "40x32"];
@@ -249,4 +249,22 @@ fn scaling_is_measured_and_simulated() {
         let parts = ["tracing", "start", "waiting", "tail"].map(|part| row[part].as_f64().unwrap());
         assert!((parts.iter().sum::<f64>() - 1.0).abs() < 0.05, "{row}");
     }
+}
+
+/// As many workers as a coordinator has, where and whatever they are.
+#[test]
+fn scaling_is_measured_with_workers_that_are_there() {
+    let folder = Folder::new();
+    let scene = scene("cornell-box/scene.xml");
+    let coordinator = coordinator(&folder);
+    let workers = [coordinator.worker(&folder), coordinator.worker(&folder)];
+    poll("two workers", || (coordinator.status(&folder, "worker").len() == 2).then_some(()));
+    let flags = ["--connect", &coordinator.address, "--size", "64x64", "--spp", "16", "--repeats", "2", "--quiet"];
+    let outcome = folder.tilecast(["scale", &scene].iter().chain(&flags));
+    assert_eq!(outcome.code, Some(0), "{outcome:?}");
+    let told: Value = serde_json::from_slice(&std::fs::read(folder.path("scale.json")).unwrap()).unwrap();
+    let counts: Vec<u64> =
+        told["rows"].as_array().unwrap().iter().map(|row| row["workers"].as_u64().unwrap()).collect();
+    assert_eq!(counts, [2]);
+    drop(workers);
 }
