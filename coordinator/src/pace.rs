@@ -6,8 +6,8 @@ use std::time::Duration;
 use tokio::sync::Mutex;
 use tokio::time::Instant;
 
-/// Of the machine's processor time.
-const SHARE: f64 = 100.0;
+/// Of the machine's processor time. What is not metered (sending, formatting) takes about as much again: together at most 1 %.
+const SHARE: f64 = 200.0;
 /// Processor time that may be taken at once after a pause: a few megapixels, so that whoever opens the page sees the whole image.
 const BURST: Duration = Duration::from_millis(300);
 
@@ -46,7 +46,7 @@ impl Pace {
 mod tests {
     use super::*;
 
-    /// Whatever is asked for, in the long run one part in a hundred is taken; after a pause, some at once.
+    /// Whatever is asked for, in the long run one part in two hundred is taken; after a pause, some at once.
     #[tokio::test(start_paused = true)]
     async fn looking_on_takes_its_share_and_no_more() {
         let pace = Pace { factor: SHARE, ..Pace::default() };
@@ -57,8 +57,8 @@ mod tests {
         }
         let all = begun.elapsed().as_secs_f64();
         // 10 s of work; 0.3 s of it were free.
-        assert!((960.0..1010.0).contains(&all), "{all} s");
-        tokio::time::sleep(Duration::from_secs(100)).await;
+        assert!((1920.0..2020.0).contains(&all), "{all} s");
+        tokio::time::sleep(Duration::from_secs(200)).await;
         let begun = Instant::now();
         for _ in 0..30 {
             pace.work(async || tokio::time::sleep(step).await).await;
