@@ -1,10 +1,12 @@
-//! How much of the machine looking on may take: one part in [`SHARE`], averaged over time, however many look and however fast.
+//! How much of the machine looking on may take: one part in [`SHARE`], averaged over time, however many look and however fast; and for
+//! how long the end waits for it.
 //!
 //! Work is metered as it is done, and what was overdrawn is waited for (a generic cell rate algorithm on processor time).
 
 use std::time::Duration;
 use tokio::sync::Mutex;
 use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
 
 /// Of the machine's processor time. What is not metered (sending, formatting) takes about as much again: together at most 1 %.
 const SHARE: f64 = 200.0;
@@ -39,6 +41,18 @@ impl Pace {
         let taken = begun.elapsed().mul_f64(self.factor);
         *paid = Some(paid.map_or(begun, |paid| paid.max(begun)) + taken);
         result
+    }
+}
+
+/// Does something that goes on beside the service until that ends, and for `linger` after it at the most.
+pub async fn until_closed(closing: &CancellationToken, linger: Duration, work: impl Future<Output = ()>) {
+    let over = async {
+        closing.cancelled().await;
+        tokio::time::sleep(linger).await;
+    };
+    tokio::select! {
+        () = work => {}
+        () = over => {}
     }
 }
 

@@ -6,6 +6,7 @@
 mod spans;
 pub(crate) mod way;
 
+use crate::pace::until_closed;
 use crate::service::Shared;
 use opentelemetry::KeyValue;
 pub use opentelemetry_otlp::ExporterBuildError as EndpointError;
@@ -83,14 +84,7 @@ impl Otlp {
     /// Sends until the coordinator ends, and the last ones then.
     pub async fn run(mut self) {
         let closing = self.shared.closing.clone();
-        let over = async {
-            closing.cancelled().await;
-            tokio::time::sleep(LINGER).await;
-        };
-        tokio::select! {
-            () = self.follow(&closing) => {}
-            () = over => {}
-        }
+        until_closed(&closing, LINGER, self.follow(&closing)).await;
     }
 
     async fn follow(&mut self, closing: &CancellationToken) {

@@ -6,7 +6,7 @@
 
 mod frame;
 
-use crate::pace::Pace;
+use crate::pace::{Pace, until_closed};
 use crate::service::Shared;
 use frame::{Channels, Frame};
 use std::collections::BTreeMap;
@@ -51,14 +51,7 @@ impl Tev {
     /// Sends until the coordinator ends, and the last tiles then. A viewer that does not take them has shown what it could.
     pub async fn run(mut self) {
         let closing = self.shared.closing.clone();
-        let over = async {
-            closing.cancelled().await;
-            tokio::time::sleep(LINGER).await;
-        };
-        tokio::select! {
-            () = self.follow(&closing) => {}
-            () = over => {}
-        }
+        until_closed(&closing, LINGER, self.follow(&closing)).await;
     }
 
     async fn follow(&mut self, closing: &CancellationToken) {
