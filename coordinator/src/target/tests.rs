@@ -172,7 +172,7 @@ fn samples_go_where_the_error_is() {
         // Variances of a sample: 1/12, and 32²/3/16 − 1.
         let even = (1.0 / 12.0 + 1024.0 / 48.0 - 1.0) / 2.0 / f64::from(target).powi(2);
         let spent = reached.traced as f64 / squares.area() as f64;
-        assert!(spent < 0.7 * even, "seed {seed}: {spent} samples a pixel, {even} if spread evenly");
+        assert!(spent < 0.75 * even, "seed {seed}: {spent} samples a pixel, {even} if spread evenly");
     }
 }
 
