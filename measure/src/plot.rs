@@ -93,6 +93,7 @@ fn draw<B: DrawingBackend<ErrorType: 'static>>(
         .configure_mesh()
         .x_desc(labels.x)
         .y_desc(labels.y)
+        .x_label_formatter(&|x| format!("{x:.6}").trim_end_matches('0').trim_end_matches('.').to_owned())
         .y_label_formatter(&|y| format!("{y:.0e}"))
         .light_line_style(TRANSPARENT)
         .draw()?;
