@@ -83,7 +83,7 @@ enum Event<'a> {
         /// A whole number where all pixels have as many.
         spp: Value,
         samples: &'a str,
-        /// By this run, over all pixels, those of a pilot included.
+        /// For this image, over all pixels: those of a pilot and of an interrupted run too, those of a film it went on with not.
         samples_traced: u64,
         seconds: f64,
         samples_per_second: f64,
@@ -212,8 +212,8 @@ impl Report {
 
     /// Some more is done.
     pub fn progress(&mut self, progress: &Progress) {
-        let &Progress { workers, relative_error, .. } = progress;
-        let rate = rate(progress);
+        let &Progress { workers, relative_error, samples_per_second, .. } = progress;
+        let rate = if samples_per_second > 0.0 { samples_per_second } else { mean_rate(progress) };
         let (before, expected) = self.expected;
         let samples_done = before + progress.samples_done;
         let samples_total = expected.unwrap_or(0).max(before + progress.samples_total);
@@ -251,7 +251,7 @@ impl Report {
     pub fn written(&mut self, kept: &Kept, elapsed: Duration, progress: Option<&Progress>, output: &Path) {
         self.bar.finish_and_clear();
         let (digest, output, samples) = (kept.film.digest().to_string(), output.display().to_string(), kept.shown());
-        let (spp, seconds, rate) = (kept.spp(), elapsed.as_secs_f64(), progress.map_or(0.0, rate));
+        let (spp, seconds, rate) = (kept.spp(), elapsed.as_secs_f64(), progress.map_or(0.0, mean_rate));
         let relative_error = kept.film.relative_error(u64::MAX);
         let event = Event::Finished {
             digest: &digest,
@@ -280,9 +280,9 @@ impl Report {
 }
 
 /// Samples a second since the first unit was given out.
-fn rate(progress: &Progress) -> f64 {
+fn mean_rate(progress: &Progress) -> f64 {
     let seconds = progress.running.as_secs_f64();
-    if seconds > 0.0 { progress.samples_done as f64 / seconds } else { 0.0 }
+    if seconds > 0.0 { (progress.samples_done - progress.samples_found) as f64 / seconds } else { 0.0 }
 }
 
 fn line(fraction: f64, rate: f64, left: Option<f64>, error: Option<RelativeError>) -> String {

@@ -233,7 +233,6 @@ impl Ledger {
         let key = work_key(&spec.scene, &spec.settings);
         let mut job = Job::new(queued_at, spec, owner, key, plan);
         job.restore(done);
-        job.started_at = Some(queued_at).filter(|_| job.samples_done > 0);
         if let Some((state, ended_at)) = end {
             job.end(ended_at, state);
         }

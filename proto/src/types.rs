@@ -268,15 +268,19 @@ pub struct Progress {
     pub state: JobState,
     /// Samples counted, over all pixels.
     pub samples_done: u64,
+    /// Of these, those that were there when the coordinator was started.
+    pub samples_found: u64,
     /// Samples asked for, over all pixels.
     pub samples_total: u64,
     /// Workers holding leases of it.
     pub workers: u32,
+    /// What these workers trace a second, as last measured; 0 while unknown.
+    pub samples_per_second: f64,
     /// Estimated relative RMS error of the mean, once known.
     pub relative_error: Option<RelativeError>,
     /// Since it was queued; to its end, if it has ended.
     pub elapsed: Duration,
-    /// Since its first lease, likewise.
+    /// Since its first lease, or the first one after the coordinator was started again, likewise.
     pub running: Duration,
     /// Digest of its scene's manifest.
     pub scene: Digest,

@@ -84,6 +84,8 @@ pub(super) struct Job {
     pub overdue: VecDeque<UnitKey>,
     pub audits: Audits,
     pub samples_done: u64,
+    /// Of these, those of before the coordinator was started again.
+    pub samples_found: u64,
     pub samples_cut: u64,
     pub samples_total: u64,
     /// See [`Plan::totals`].
@@ -124,6 +126,7 @@ impl Job {
             overdue: VecDeque::new(),
             audits: Audits::default(),
             samples_done: 0,
+            samples_found: 0,
             samples_cut: 0,
             samples_total: totals.last().copied().unwrap_or(0),
             totals,
@@ -147,6 +150,7 @@ impl Job {
         let counted = |(tile, ranges): (usize, &Ranges)| self.plan.tile(tile as u32).area() * ranges.count();
         self.samples_done = done.iter().enumerate().map(counted).sum();
         self.samples_cut = self.samples_done;
+        self.samples_found = self.samples_done;
         self.done = done;
         if self.samples_done > 0 {
             self.state = JobState::Running;

@@ -74,7 +74,7 @@ pub struct OpenUnits {
 /// The error of an image at a time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// Since the job's first lease.
+    /// Since the job's first lease, or the first one after the coordinator was started again.
     pub running: Duration,
     /// Counted then, over all pixels.
     pub samples: u64,
@@ -178,7 +178,9 @@ impl Ledger {
             name: job.spec.name.clone(),
             state: job.state.clone(),
             samples_done: job.samples_done,
+            samples_found: job.samples_found.min(job.samples_done),
             samples_total: job.samples_total,
+            samples_per_second: self.speed(id),
             workers: self.workers.values().filter(holds).count() as u32,
             relative_error: job.relative_error,
             elapsed: until.saturating_sub(job.queued_at),

@@ -223,6 +223,28 @@ fn a_sample_without_value_fails_the_job_and_the_next_one_goes_on() {
     assert_eq!(ended, [JobId(1), JobId(2)]);
 }
 
+/// A night between two runs makes nobody believe that the rest takes weeks.
+#[test]
+fn a_job_that_was_interrupted_is_timed_from_where_it_goes_on() {
+    let night = Duration::from_secs(36_000);
+    let mut world = World::new(&[]);
+    let id = JobId(3);
+    let restored = RestoredJob { id, spec: spec(32, 16, 64), owner: None, queued_at: Duration::ZERO, end: None };
+    let half = Ranges::from_sorted(vec![0..64]).unwrap();
+    world.ledger.restore_job(restored, vec![half, Ranges::default()]).unwrap();
+    world.now = night;
+    let worker = world.worker(1);
+    let leases = world.lease(worker, 1).unwrap();
+    world.now += Duration::from_secs(2);
+    assert_eq!(world.submit(worker, &leases[0], 2000), Verdict::Accepted);
+    world.lease(worker, 1).unwrap();
+    let progress = world.ledger.progress(world.now, id).unwrap();
+    assert_eq!(progress.samples_found, 16 * 16 * 64);
+    assert_eq!(progress.samples_done, progress.samples_found + leases[0].unit.len());
+    assert_eq!((progress.elapsed, progress.running), (night + Duration::from_secs(2), Duration::from_secs(2)));
+    assert!((progress.samples_per_second - leases[0].unit.len() as f64 / 2.0).abs() < 1.0);
+}
+
 #[test]
 fn a_unit_that_panics_goes_elsewhere_and_not_for_ever() {
     let mut world = World::new(&[spec(16, 16, 4)]);

@@ -120,6 +120,8 @@ impl From<Progress> for wire::Progress {
             scene: digest_bytes(&progress.scene),
             settings: Some((&progress.settings).into()),
             merge_us: micros(progress.merging),
+            samples_found: progress.samples_found,
+            samples_per_second: progress.samples_per_second,
         }
     }
 }
@@ -145,8 +147,10 @@ impl TryFrom<wire::Progress> for Progress {
             name: text(message.name, NAME_BYTES_MAX, "progress.name")?,
             state,
             samples_done: within(message.samples_done, 0..=message.samples_total, "progress.samples_done")?,
+            samples_found: within(message.samples_found, 0..=message.samples_done, "progress.samples_found")?,
             samples_total: message.samples_total,
             workers: message.workers,
+            samples_per_second: message.samples_per_second,
             relative_error: message.relative_error.map(|e| RelativeError { value: e.value, low: e.low, high: e.high }),
             elapsed: Duration::from_millis(message.elapsed_ms),
             running: Duration::from_millis(message.running_ms),
