@@ -24,8 +24,13 @@ use tilecast_proto::limits::RANGES_MAX;
 /// Side of the tiles that get counts of their own, in pixels: enough pixels that two replicates tell their noise well, and
 /// few enough that noise differs between tiles. Doubled for pictures that would have too many.
 const SIDE: u32 = 8;
-/// The pilot begins with so many samples a pixel, one for each replicate.
-const PILOT_FIRST: u32 = 4;
+/// The pilot begins with so many samples a pixel: fewer would take light that is found by one sample in ten for none.
+const PILOT_FIRST: u32 = 16;
+/// It goes on to so many where fewer than [`FEW`] pixels carry the noise, as by a lamp smaller than a pixel: what so few say of it
+/// is little, and what it costs is little to what they need.
+const PILOT_OF_FEW: f64 = 128.0;
+/// See [`PILOT_OF_FEW`].
+const FEW: f64 = 64.0;
 /// The pilot grows until it is this part of what it predicts…
 const PILOT_SHARE: f64 = 1.0 / 32.0;
 /// … and no further than this.
@@ -192,7 +197,10 @@ impl Search {
         let Some((model, counts)) = self.predict(&history) else {
             return State::Pilot { film: Some(film), count, history };
         };
-        if f64::from(count) < PILOT_SHARE * model.mean(&counts) && count < PILOT_MAX {
+        let expected = model.mean(&counts);
+        let few = history.last().is_some_and(|(_, noise)| noise.carriers() < FEW);
+        let least = if few { PILOT_OF_FEW.min(0.5 * expected) } else { 0.0 };
+        if f64::from(count) < least.max(PILOT_SHARE * expected) && count < PILOT_MAX {
             return State::Pilot { film: Some(film), count, history };
         }
         let counts = counts.iter().map(|n| in_sets(FIRST_SHARE * n)).collect();

@@ -14,7 +14,7 @@ const RATES: [f64; 2] = [1.0, 2.2];
 /// some is, or too much of it.
 const SHARES: [f64; 2] = [0.125, 8.0];
 /// What is added to each tile's variance, as a part of the mean over all tiles, for what a pilot may have missed.
-const UNSEEN: f64 = 0.05;
+const UNSEEN: f64 = 0.1;
 /// Errors of pixels are relative to the mean square of their tile plus this part of the picture's: the dark must not decide
 /// alone.
 const DARK: f64 = 0.01;
@@ -29,6 +29,8 @@ pub struct Noise {
     /// Squares of the true means, estimated without bias; may be negative in the dark.
     power: Vec<f64>,
     area: Vec<f64>,
+    /// Sum of the squares of the pixels' variances.
+    squares: f64,
 }
 
 /// How samples are shared out among tiles for a target, and how the noise falls.
@@ -44,11 +46,12 @@ pub struct Model {
 impl Noise {
     /// Of a film, as far as one half or both of it tell.
     pub fn of(film: &Film, half: Half, tiles: &[Window]) -> Self {
-        let mut noise = Self { variance: Vec::new(), power: Vec::new(), area: Vec::new() };
+        let mut noise = Self { variance: Vec::new(), power: Vec::new(), area: Vec::new(), squares: 0.0 };
         for tile in tiles {
             let (mut variance, mut power) = (0.0, 0.0);
             for (x, y) in (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y))) {
                 let estimate = film.half_estimate(x, y, half);
+                noise.squares += estimate.variance.into_iter().map(f64::from).sum::<f64>().powi(2);
                 for (m, v) in estimate.mean.into_iter().zip(estimate.variance) {
                     variance += f64::from(v);
                     power += f64::from(m) * f64::from(m) - f64::from(v);
@@ -61,6 +64,13 @@ impl Noise {
             noise.area.push(tile.area() as f64);
         }
         noise
+    }
+
+    /// How many pixels carry the noise, were it equal on each (Kish's effective size): so many
+    /// independent ones tell how much there is. Infinitely many carry none.
+    pub fn carriers(&self) -> f64 {
+        let total: f64 = self.variance.iter().sum();
+        if self.squares > 0.0 { total * total / self.squares } else { f64::INFINITY }
     }
 
     /// One number that falls as the noise does.
@@ -81,7 +91,7 @@ impl Noise {
     pub fn with(&self, other: &Noise) -> Self {
         let mean = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect();
         let (variance, power) = (mean(&self.variance, &other.variance), mean(&self.power, &other.power));
-        Self { variance, power, area: self.area.clone() }
+        Self { variance, power, ..self.clone() }
     }
 
     /// γ between a pilot and this, whose tiles have different counts: by bisection.
