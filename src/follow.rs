@@ -9,6 +9,7 @@ use crate::seek::{Goal, seek};
 use crate::stop::Stopped;
 use anyhow::{Context, anyhow, bail};
 use backon::{BackoffBuilder, ExponentialBackoff, ExponentialBuilder};
+use std::hash::{BuildHasher, RandomState};
 use std::time::{Duration, Instant};
 use tilecast_core::film::{Film, RelativeError};
 use tilecast_core::scene::Digest;
@@ -137,16 +138,12 @@ impl<'a, N: AsyncFnMut() -> News> Line<'a, N> {
         fetch(self.client, id).await.context("the finished image could not be fetched")
     }
 
-    /// Queues a job, at a coordinator that may go away meanwhile: what it has taken without saying so is in its list then.
+    /// Queues a job, at a coordinator that may go away meanwhile, or have taken it without saying so: its ticket tells.
     async fn hand_over(&mut self, job: JobSpec, report: &mut Report) -> anyhow::Result<JobId> {
-        let is_it = |other: &Progress| {
-            let same = other.scene == job.scene && other.settings == job.settings && other.name == job.name;
-            same && !other.state.is_final()
-        };
+        let job = JobSpec { ticket: RandomState::new().hash_one(std::process::id()).max(1), ..job };
         let mut delays = backoff();
-        let mut handed_over = self.client.submit(job.clone()).await;
         loop {
-            match handed_over {
+            match self.client.submit(job.clone()).await {
                 Ok(id) => return Ok(id),
                 Err(ClientError::Call(status)) if is_lost(status.code()) => {}
                 Err(ClientError::Connect(_)) => {}
@@ -160,12 +157,6 @@ impl<'a, N: AsyncFnMut() -> News> Line<'a, N> {
                     News::Fatal(error) => return Err(error),
                 },
             }
-            let taken = self.client.jobs().await.map(|jobs| jobs.into_iter().rev().find(is_it));
-            handed_over = match taken {
-                Ok(Some(other)) => Ok(other.job),
-                Ok(None) => self.client.submit(job.clone()).await,
-                Err(error) => Err(error),
-            };
         }
     }
 

@@ -159,6 +159,7 @@ async fn measure(client: &Client, scene: &Arc<Scene>, ready: &Ready, workers: Op
             name,
             workers_hold_scene: false,
             aim: None,
+            ticket: 0,
         }
     };
     // All must have worked before: who comes late has its scene compiled in the time that is measured.
@@ -306,6 +307,7 @@ fn spec(ready: &Ready) -> JobSpec {
         name: String::new(),
         workers_hold_scene: true,
         aim: None,
+        ticket: 0,
     }
 }
 

@@ -223,6 +223,12 @@ impl Ledger {
         Ok(id)
     }
 
+    /// The job that a client has queued with this ticket, if it has one.
+    pub fn with_ticket(&self, ticket: u64, owner: Option<Digest>) -> Option<JobId> {
+        let is_it = |job: &Job| ticket != 0 && job.spec.ticket == ticket && job.owner == owner;
+        self.jobs.iter().find(|(_, job)| is_it(job)).map(|(&id, _)| id)
+    }
+
     /// A job that was there before the coordinator was started again, with what was counted of each tile.
     ///
     /// # Errors

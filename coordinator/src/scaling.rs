@@ -330,6 +330,7 @@ mod tests {
             name: String::new(),
             workers_hold_scene: true,
             aim: None,
+            ticket: 0,
         }
     }
 

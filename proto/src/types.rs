@@ -218,6 +218,8 @@ pub struct JobSpec {
     pub workers_hold_scene: bool,
     /// What it is a step towards, if it is not the whole.
     pub aim: Option<Aim>,
+    /// Made up by the client: the same ticket again is the same job, and not another one like it. 0 is none.
+    pub ticket: u64,
 }
 
 /// An image that takes several jobs, for whoever looks on. Samples are counted over all pixels.

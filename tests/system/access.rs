@@ -182,6 +182,18 @@ async fn a_job_is_cancelled_by_its_owner_or_an_admin_alone() {
     }
 }
 
+/// A ticket is a client's own: another's guess of it gives a job of its own, and never someone else's.
+#[tokio::test]
+async fn a_ticket_is_good_for_who_made_it() {
+    let guarded = Guarded::start(true).await;
+    let owner = Client::connect(&guarded.peer(Some(("certs", "client")), None)).await.expect("let in");
+    let other = Client::connect(&guarded.peer(None, Some("client's"))).await.expect("let in");
+    let job = JobSpec { workers_hold_scene: true, ticket: 5, ..cluster::job() };
+    let ours = owner.submit(job.clone()).await.expect("accepted");
+    assert_ne!(other.submit(job.clone()).await.expect("accepted"), ours);
+    assert_eq!(owner.submit(job).await.expect("known"), ours);
+}
+
 /// With everything logged that can be, by those who show a token and by who checks it.
 #[test]
 fn no_secret_is_logged() {

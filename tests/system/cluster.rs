@@ -94,6 +94,7 @@ pub fn job() -> JobSpec {
         name: "triangle".into(),
         workers_hold_scene: false,
         aim: None,
+        ticket: 0,
     }
 }
 
@@ -257,6 +258,13 @@ async fn a_second_job_of_the_scene_uploads_nothing() {
     for job in jobs {
         assert_eq!(finish(&client, job).await, direct());
     }
+    // A call whose answer was lost is repeated, with the ticket it had.
+    let ticketed = JobSpec { ticket: 3, ..job() };
+    let third = client.submit(ticketed.clone()).await.unwrap();
+    assert_eq!(client.submit(ticketed.clone()).await.unwrap(), third);
+    assert_eq!(finish(&client, third).await, direct());
+    assert_eq!(client.submit(ticketed).await.unwrap(), third);
+    let jobs = [jobs[0], jobs[1], third];
     let listed: Vec<JobId> = client.jobs().await.unwrap().iter().map(|progress| progress.job).collect();
     assert_eq!(listed, jobs);
 }

@@ -292,6 +292,7 @@ fn waiting() -> JobSpec {
         name: "box".into(),
         workers_hold_scene: true,
         aim: None,
+        ticket: 0,
     }
 }
 

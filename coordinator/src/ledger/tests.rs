@@ -33,6 +33,7 @@ fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
         name: String::new(),
         workers_hold_scene: false,
         aim: None,
+        ticket: 0,
     }
 }
 

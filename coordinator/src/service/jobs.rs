@@ -180,10 +180,14 @@ async fn receive(
     Ok(bytes.into())
 }
 
-/// Queues a job: its blobs must be there, and room for its film. May take a moment for a large scene or film.
+/// Queues a job: its blobs must be there, and room for its film. May take a moment for a large scene or film. A job that was
+/// queued already, by its ticket, is that one.
 pub(crate) fn submit(shared: &Shared, spec: JobSpec, owner: Option<Digest>) -> Result<JobId, Status> {
-    let blobs = if spec.workers_hold_scene { Vec::new() } else { scene_blobs(shared, &spec.scene)? };
     let _turn = lock(&shared.submitting);
+    if let Some(there) = shared.with_ledger(|ledger, _| ledger.with_ticket(spec.ticket, owner)) {
+        return Ok(there);
+    }
+    let blobs = if spec.workers_hold_scene { Vec::new() } else { scene_blobs(shared, &spec.scene)? };
     shared.films.make_room(&spec.settings).map_err(|e| Status::resource_exhausted(e.to_string()))?;
     let plan = Plan::of(&spec).map_err(|e| Status::invalid_argument(e.to_string()))?;
     let film = shared.films.reserve(&spec.settings, plan);

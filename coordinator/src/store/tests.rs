@@ -24,6 +24,7 @@ fn spec() -> JobSpec {
         name: "n".into(),
         workers_hold_scene: true,
         aim: None,
+        ticket: 0,
     }
 }
 

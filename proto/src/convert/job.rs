@@ -34,6 +34,7 @@ impl TryFrom<wire::Job> for JobSpec {
             name: text(message.name, NAME_BYTES_MAX, "job.name")?,
             workers_hold_scene: message.workers_hold_scene,
             aim: message.aim.map(Aim::try_from).transpose()?,
+            ticket: message.ticket,
         })
     }
 }
@@ -89,6 +90,7 @@ impl From<JobSpec> for wire::Job {
             name: job.name,
             workers_hold_scene: job.workers_hold_scene,
             aim: job.aim.map(Into::into),
+            ticket: job.ticket,
         }
     }
 }

@@ -117,10 +117,13 @@ fn hostile_sizes_are_refused() {
             name: String::new(),
             workers_hold_scene: false,
             aim: None,
+            ticket: 7,
         })
     };
     let job = |settings: &Settings| ranged(settings, &[0], &[settings.spp]);
-    assert!(job(&settings()).is_ok());
+    let accepted = job(&settings()).unwrap();
+    assert_eq!(accepted.ticket, 7);
+    assert_eq!(JobSpec::try_from(wire::Job::from(accepted.clone())), Ok(accepted));
     let spp = settings().spp;
     for (starts, ends) in [(&[][..], &[][..]), (&[0], &[0]), (&[0], &[spp + 1]), (&[2], &[1]), (&[0, 0], &[1])] {
         assert!(ranged(&settings(), starts, ends).is_err(), "{starts:?} {ends:?}");
