@@ -4,6 +4,7 @@
 # Needs root and `ip` (Debian's iproute2), and changes nothing outside its own two namespaces. Takes some minutes.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+source tests/shell.sh
 
 CUTS=${CUTS:-6}
 SEED=${SEED:-$RANDOM}
@@ -25,22 +26,6 @@ started=()
 trap 'status=$?; kill "${started[@]}" 2> /dev/null || true; wait || true
       ip netns del "$here" || true; ip netns del "$there" 2> /dev/null || true
       [ "$status" -eq 0 ] && rm -rf "$dir" || echo "FAILED with SEED=$SEED; logs are in $dir" >&2' EXIT
-
-say() { echo "$(date +%T) $*"; }
-start() { # NAME COMMAND…
-    local name=$1
-    shift
-    "$@" > "$dir/$name.out" 2> "$dir/$name.err" &
-    started+=($!)
-}
-until_true() {
-    local what=$1
-    shift
-    until "$@"; do
-        [ "$SECONDS" -lt "$DEADLINE_SECONDS" ] || { say "waited in vain for: $what"; return 1; }
-        sleep 0.2
-    done
-}
 
 ip netns add "$there"
 ip link add veth0 netns "$here" type veth peer name veth0 netns "$there"

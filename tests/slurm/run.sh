@@ -4,6 +4,7 @@
 # Needs Debian's slurm-wlm and python3. Takes some ten minutes on two idle cores. Starts nothing that it does not end.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+source tests/shell.sh
 
 # Traced on one core of this machine, the image takes about so long.
 WORK_SECONDS=${WORK_SECONDS:-400}
@@ -15,23 +16,6 @@ started=()
 trap 'status=$?; kill "${started[@]}" 2> /dev/null || true; wait || true
       [ "$status" -eq 0 ] && rm -rf "$dir" || echo "FAILED; logs are in $dir" >&2' EXIT
 
-say() { echo "$(date +%T) $*"; }
-start() { # NAME COMMAND…
-    local name=$1
-    shift
-    "$@" > "$dir/$name.out" 2> "$dir/$name.err" &
-    started+=($!)
-}
-# Looks once a second until COMMAND… succeeds.
-until_true() {
-    local what=$1
-    shift
-    until "$@"; do
-        [ "$SECONDS" -lt "$DEADLINE_SECONDS" ] || { say "waited in vain for: $what"; return 1; }
-        sleep 1
-    done
-    say "seen: $what"
-}
 free_ports() {
     python3 -c 'import socket
 sockets = [socket.socket() for _ in range(4)]
