@@ -26,11 +26,9 @@ use tilecast_proto::limits::RANGES_MAX;
 const SIDE: u32 = 8;
 /// The pilot begins with so many samples a pixel: fewer would take light that is found by one sample in ten for none.
 const PILOT_FIRST: u32 = 16;
-/// It goes on to so many where fewer than [`FEW`] pixels carry the noise, as by a lamp smaller than a pixel: what so few say of it
-/// is little, and what it costs is little to what they need.
+/// It goes on to so many where few pixels carry the noise, as by a lamp smaller than a pixel: they say little of it, and what that
+/// costs is little to what they need.
 const PILOT_OF_FEW: f64 = 128.0;
-/// See [`PILOT_OF_FEW`].
-const FEW: f64 = 64.0;
 /// The pilot grows until it is this part of what it predicts…
 const PILOT_SHARE: f64 = 1.0 / 32.0;
 /// … and no further than this.
@@ -198,7 +196,7 @@ impl Search {
             return State::Pilot { film: Some(film), count, history };
         };
         let expected = model.mean(&counts);
-        let few = history.last().is_some_and(|(_, noise)| noise.carriers() < FEW);
+        let few = history.last().is_some_and(|(_, noise)| noise.is_on_few());
         let least = if few { PILOT_OF_FEW.min(0.5 * expected) } else { 0.0 };
         if f64::from(count) < least.max(PILOT_SHARE * expected) && count < PILOT_MAX {
             return State::Pilot { film: Some(film), count, history };
@@ -214,7 +212,7 @@ impl Search {
         // Two doublings tell more than one, and more would tell of counts that are far away.
         let (earlier, before) = history.iter().rev().take(3).skip(1).last()?;
         let factor = f64::from(*count) / f64::from(*earlier);
-        let rate = noise::rate(before.total(self.target), noise.total(self.target), factor);
+        let rate = noise.rate(before, factor, self.target);
         let at_one = noise.at_one(&vec![*count; self.tiles.len()], rate);
         let model = Model::new(&at_one, self.target, rate);
         let counts = model.counts(&at_one, &vec![0; self.tiles.len()], AIM);
@@ -223,13 +221,15 @@ impl Search {
 
     /// Each half's noise decides the other's counts; where samples go, pilot and half decide together.
     fn exchange(&self, (pilot_count, pilot): (u32, Noise), counts: Vec<u32>, film: Film) -> State {
+        // Two replicates of few pixels may agree by chance.
+        let few = pilot.is_on_few();
         let decided_by = |half: Half| -> Vec<u32> {
             let noise = Noise::of(&film, half, &self.tiles);
             let rate = noise.rate_since(&pilot, pilot_count, &counts, self.target);
             let seen = noise.at_one(&counts, rate);
-            let model =
-                Model::new(&seen.with(&pilot.at_one(&vec![pilot_count; counts.len()], rate)), self.target, rate);
-            let wanted = model.counts(&seen, &counts, AIM);
+            let both = seen.with(&pilot.at_one(&vec![pilot_count; counts.len()], rate));
+            let model = Model::new(&both, self.target, rate);
+            let wanted = model.counts(if few { &both } else { &seen }, &counts, AIM);
             wanted.iter().zip(&counts).map(|(&n, &first)| in_sets(n.min(GROWTH_MAX * f64::from(first)))).collect()
         };
         let halves = [decided_by(Half::Second), decided_by(Half::First)];

@@ -8,8 +8,10 @@ use tilecast_core::film::Film;
 use tilecast_core::film::file::Target;
 use tilecast_core::settings::{Half, Window};
 
-/// γ lies in between; what seems outside is chance.
+/// γ lies in between; what seems outside is chance. The first where nothing better is known.
 const RATES: [f64; 2] = [1.0, 2.2];
+/// Fewer pixels are too few to tell how much noise there is.
+const FEW: f64 = 64.0;
 /// A tile gets this part of the mean count at least, and this many times the mean at most: a pilot may see no noise where
 /// some is, or too much of it.
 const SHARES: [f64; 2] = [0.125, 8.0];
@@ -31,6 +33,8 @@ pub struct Noise {
     area: Vec<f64>,
     /// Sum of the squares of the pixels' variances.
     squares: f64,
+    /// Tiles in a row of the picture; they are in order, row by row.
+    columns: usize,
 }
 
 /// How samples are shared out among tiles for a target, and how the noise falls.
@@ -46,7 +50,8 @@ pub struct Model {
 impl Noise {
     /// Of a film, as far as one half or both of it tell.
     pub fn of(film: &Film, half: Half, tiles: &[Window]) -> Self {
-        let mut noise = Self { variance: Vec::new(), power: Vec::new(), area: Vec::new(), squares: 0.0 };
+        let columns = tiles.iter().take_while(|tile| tile.y0 == tiles[0].y0).count();
+        let mut noise = Self { variance: Vec::new(), power: Vec::new(), area: Vec::new(), squares: 0.0, columns };
         for tile in tiles {
             let (mut variance, mut power) = (0.0, 0.0);
             for (x, y) in (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y))) {
@@ -66,11 +71,11 @@ impl Noise {
         noise
     }
 
-    /// How many pixels carry the noise, were it equal on each (Kish's effective size): so many
-    /// independent ones tell how much there is. Infinitely many carry none.
-    pub fn carriers(&self) -> f64 {
+    /// Whether few pixels carry the noise, as many as would if it were equal on each (Kish's effective size): too few to say how
+    /// much there is.
+    pub fn is_on_few(&self) -> bool {
         let total: f64 = self.variance.iter().sum();
-        if self.squares > 0.0 { total * total / self.squares } else { f64::INFINITY }
+        total * total < FEW * self.squares
     }
 
     /// One number that falls as the noise does.
@@ -94,6 +99,15 @@ impl Noise {
         Self { variance, power, ..self.clone() }
     }
 
+    /// γ between an earlier look at the same picture, at even counts, and this one at `factor` times as many samples.
+    pub fn rate(&self, before: &Noise, factor: f64, target: Target) -> f64 {
+        let (before, after) = (before.total(target), self.total(target));
+        if self.is_on_few() || before <= 0.0 || after <= 0.0 {
+            return RATES[0];
+        }
+        ((before / after).ln() / factor.ln()).clamp(RATES[0], RATES[1])
+    }
+
     /// γ between a pilot and this, whose tiles have different counts: by bisection.
     pub fn rate_since(&self, pilot: &Noise, pilot_count: u32, counts: &[u32], target: Target) -> f64 {
         let of = |rate: f64| {
@@ -101,12 +115,33 @@ impl Noise {
             let variance = pilot.variance.iter().zip(counts).map(scaled).collect();
             Noise { variance, ..pilot.clone() }.total(target)
         };
+        if pilot.is_on_few() {
+            return RATES[0];
+        }
         let (seen, [mut low, mut high]) = (self.total(target), RATES);
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
             if of(middle) > seen { low = middle } else { high = middle }
         }
         0.5 * (low + high)
+    }
+
+    /// The variance of a pixel, tile by tile: that of the tile, or of the 3×3 tiles around where that is more. What makes rare
+    /// bright samples, a lamp smaller than a pixel or its reflection, seldom ends at the edge of a tile that happened to see one.
+    fn around(&self) -> Vec<f64> {
+        let (columns, rows) = (self.columns, self.variance.len().div_ceil(self.columns.max(1)));
+        let near = |i: usize, end: usize| i.saturating_sub(1)..(i + 2).min(end);
+        let density = |i: usize| {
+            let (mut variance, mut area) = (0.0, 0.0);
+            for row in near(i / columns, rows) {
+                for at in near(i % columns, columns).map(|column| row * columns + column) {
+                    variance += self.variance[at];
+                    area += self.area[at];
+                }
+            }
+            f64::max(variance / area, self.variance[i] / self.area[i])
+        };
+        (0..self.variance.len()).map(density).collect()
     }
 
     /// The squared relative errors of the tiles' pixels.
@@ -124,10 +159,7 @@ impl Model {
         let mean = at_one.variance.iter().sum::<f64>() / at_one.area.iter().sum::<f64>();
         let shares: Vec<f64> = match target {
             // Least samples for a sum of variances: Lagrange gives n^(1+γ) ∝ variance.
-            Target::Image(_) => {
-                let density = |(v, area): (&f64, &f64)| (v / area + UNSEEN * mean).max(0.0).powf(1.0 / (1.0 + rate));
-                at_one.variance.iter().zip(&at_one.area).map(density).collect()
-            }
+            Target::Image(_) => at_one.around().iter().map(|v| (v + UNSEEN * mean).powf(1.0 / (1.0 + rate))).collect(),
             // All equally well.
             Target::Pixels(_) => at_one.relative().iter().map(|e| e.max(1e-12).powf(1.0 / rate)).collect(),
         };
@@ -188,11 +220,6 @@ impl Model {
         let total: f64 = counts.iter().zip(&self.area).map(|(n, area)| n * area).sum();
         total / self.area.iter().sum::<f64>()
     }
-}
-
-/// γ from the noise at two counts, the second `factor` times the first.
-pub fn rate(before: f64, after: f64, factor: f64) -> f64 {
-    if before > 0.0 && after > 0.0 { ((before / after).ln() / factor.ln()).clamp(RATES[0], RATES[1]) } else { RATES[0] }
 }
 
 /// Shares relative to their mean, within bounds.
