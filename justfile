@@ -17,7 +17,7 @@ system module="":
 soak:
     TILECAST_RUNS=100 cargo test --release --test system -- faults liars --nocapture
     TILECAST_RUNS=100 cargo test --release --test system -- costs flood --nocapture --test-threads 1 --include-ignored
-    TILECAST_SEEDS=10000 cargo test --release -p tilecast-coordinator sim
+    TMPDIR=/dev/shm TILECAST_SEEDS=10000 cargo test --release -p tilecast-coordinator sim
 
 # So many workers over gRPC: what one costs the coordinator, and so what 10,000 would. Each takes two open files here.
 crowd workers="2000":

@@ -200,6 +200,7 @@ impl Cluster {
             workers_hold_scene,
             aim: None,
             ticket: 0,
+            workers_max: None,
         };
         let mut line = Line::new(&client, ready, &render.output, stop, async || self.news().await);
         line.keep = render.state.is_some();

@@ -9,6 +9,7 @@ use crate::report::{Report, Style};
 use crate::stop::{on_signal, unless_stopped};
 use crate::view::Lookers;
 use anyhow::{Context, bail};
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -45,8 +46,8 @@ const LOOPBACK: f64 = 2e9;
 pub struct Scale {
     /// What is rendered.
     pub picture: Picture,
-    /// Numbers of workers.
-    pub workers: Vec<u32>,
+    /// Numbers of workers; none is all of those elsewhere.
+    pub workers: Vec<Option<NonZeroU32>>,
     /// Threads of each.
     pub threads: u32,
     /// Renders with each number.
@@ -123,31 +124,40 @@ async fn once(
     scale: &Scale,
     scene: &Arc<Scene>,
     ready: &Ready,
-    workers: u32,
+    workers: Option<NonZeroU32>,
     stop: &CancellationToken,
 ) -> anyhow::Result<Run> {
     if let Some(connector) = &scale.connector {
-        return measure(&Client::connect(connector).await?, scene, ready, None).await;
+        let client = Client::connect(connector).await?;
+        let there = client.workers().await?.len();
+        if let Some(workers) = workers.filter(|workers| workers.get() as usize > there) {
+            bail!("--workers {workers}: the coordinator has {there}; start more, or give a smaller number");
+        }
+        return measure(&client, scene, ready, workers).await;
     }
+    let workers = workers.map_or(1, NonZeroU32::get);
     let cluster = Cluster::processes(workers, scale.threads, scale.isa, None, Lookers::default()).await?;
     let result = async {
         let client = Client::connect(&cluster.connector).await?;
-        unless_stopped(stop, measure(&client, scene, ready, Some(workers))).await?
-    };
-    let result = result.await;
-    cluster.end().await;
-    result
-}
-
-/// Renders once, warmed up; `workers` are waited for.
-async fn measure(client: &Client, scene: &Arc<Scene>, ready: &Ready, workers: Option<u32>) -> anyhow::Result<Run> {
-    client.upload(scene, &ready.blobs).await?;
-    if let Some(workers) = workers {
         while client.workers().await?.len() < workers as usize {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
-    }
-    let job = |spp: u32, tile: Option<u32>| {
+        measure(&client, scene, ready, None).await
+    };
+    let result = unless_stopped(stop, result).await;
+    cluster.end().await;
+    result?
+}
+
+/// Renders once by so many workers, or by all that there are, warmed up.
+async fn measure(
+    client: &Client,
+    scene: &Arc<Scene>,
+    ready: &Ready,
+    workers: Option<NonZeroU32>,
+) -> anyhow::Result<Run> {
+    client.upload(scene, &ready.blobs).await?;
+    let job = |spp: u32, tile: Option<u32>, workers_max: Option<NonZeroU32>| {
         let mut settings = ready.settings.clone();
         settings.spp = spp;
         let name = "scale".to_owned();
@@ -160,14 +170,14 @@ async fn measure(client: &Client, scene: &Arc<Scene>, ready: &Ready, workers: Op
             workers_hold_scene: false,
             aim: None,
             ticket: 0,
+            workers_max,
         }
     };
     // All must have worked before: who comes late has its scene compiled in the time that is measured.
     for _ in 0..WARM_UPS_MAX {
-        let (id, _) = done(client, job(WARM_UP_SPP, Some(WARM_UP_TILE))).await?;
-        let wanted = workers.unwrap_or(client.workers().await?.len() as u32);
+        let (id, _) = done(client, job(WARM_UP_SPP, Some(WARM_UP_TILE), None)).await?;
         let worked = client.contributions(&[id]).await?.into_iter().filter(|one| one.units > 0).count();
-        if worked >= wanted as usize {
+        if worked >= client.workers().await?.len() {
             break;
         }
     }
@@ -177,7 +187,7 @@ async fn measure(client: &Client, scene: &Arc<Scene>, ready: &Ready, workers: Op
         client.workers().await?;
         calls.push(begun.elapsed().as_secs_f64());
     }
-    let (id, progress) = done(client, job(ready.settings.spp, None)).await?;
+    let (id, progress) = done(client, job(ready.settings.spp, None, workers)).await?;
     let film = client.film(id).await?;
     let contributions = client.contributions(&[id]).await?;
     let seconds = progress.elapsed.as_secs_f64();
@@ -308,6 +318,7 @@ fn spec(ready: &Ready) -> JobSpec {
         workers_hold_scene: true,
         aim: None,
         ticket: 0,
+        workers_max: None,
     }
 }
 

@@ -45,8 +45,17 @@ pub async fn run(submit: Submit) -> anyhow::Result<()> {
     unless_stopped(&stop, client.upload(&Arc::new(scene), &ready.blobs)).await??;
     let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
     let samples = vec![ready.samples.clone()];
-    let job =
-        JobSpec { scene, settings, tile: submit.tile, samples, name, workers_hold_scene: false, aim: None, ticket: 0 };
+    let job = JobSpec {
+        scene,
+        settings,
+        tile: submit.tile,
+        samples,
+        name,
+        workers_hold_scene: false,
+        aim: None,
+        ticket: 0,
+        workers_max: None,
+    };
     let line = Line::new(&client, &ready, &submit.output, &stop, async || std::future::pending().await);
     follow(line, submit.goal, job, &mut report).await.map(|_| ())
 }

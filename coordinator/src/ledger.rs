@@ -282,14 +282,17 @@ impl Ledger {
             if job.barred.contains(&id) {
                 continue;
             }
-            let alone = workers - job.barred.len() <= 1;
+            let helpers = job.places().unwrap_or(workers).min(workers - job.barred.len());
+            let alone = helpers <= 1;
             let mut described = request.known_jobs.contains(&job_id);
             while given < f64::from(request.slots) && reply.leases.len() < room {
-                let size = unit_samples(job, id, threads);
+                let size = unit_samples(job, id, threads * helpers as u64 / workers as u64);
                 let fence = Fence(*next_fence);
                 let (key, samples, audit) =
                     if let Some((key, samples)) = job.audits.take(id, worker.info.instance, fence) {
                         (key, samples, true)
+                    } else if !job.has_place_for(id) {
+                        break;
                     } else if let Some(key) = job.take_returned(id, alone).or_else(|| job.cut(size)) {
                         (key, job.samples(key), false)
                     } else if worker.leases.is_empty()
@@ -306,6 +309,9 @@ impl Ledger {
                         open.since = now;
                     }
                     open.leases.push((id, fence));
+                }
+                if !audit {
+                    job.join(id);
                 }
                 job.lent_to(now, id, &worker.info);
                 let (end, deadline) = (unit.samples.end, now + LEASE_SILENCE);
@@ -395,18 +401,11 @@ impl Ledger {
     /// Ends those leases of a worker that `which` picks; their units wait for someone, unless another has them too.
     fn take_back(&mut self, id: WorkerId, which: impl Fn(&Fence, &Held) -> bool) -> Vec<Held> {
         let Some(worker) = self.workers.get_mut(&id) else { return Vec::new() };
-        let mut taken = Vec::new();
-        worker.leases.retain(|fence, held| {
-            let goes = which(fence, held);
-            if goes {
-                taken.push(*held);
-            }
-            !goes
-        });
-        for held in &taken {
+        let taken: Vec<(Fence, Held)> = worker.leases.extract_if(.., |fence, held| which(fence, held)).collect();
+        for (fence, held) in &taken {
             let Some(job) = self.jobs.get_mut(&held.job) else { continue };
             if held.audit {
-                job.audits.give_back(held.unit);
+                job.audits.give_back(held.unit, id, *fence);
             } else if let Some(open) = job.open.get_mut(&held.unit) {
                 open.leases.retain(|(worker, _)| *worker != id);
                 if open.leases.is_empty() {
@@ -414,7 +413,7 @@ impl Ledger {
                 }
             }
         }
-        taken
+        taken.into_iter().map(|(_, held)| held).collect()
     }
 }
 

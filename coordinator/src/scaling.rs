@@ -331,6 +331,7 @@ mod tests {
             workers_hold_scene: true,
             aim: None,
             ticket: 0,
+            workers_max: None,
         }
     }
 

@@ -35,9 +35,9 @@ const PILOT_SHARE: f64 = 1.0 / 32.0;
 const PILOT_MAX: u32 = 1 << 12;
 /// Both halves are traced to this part of what the pilot predicts before they decide for each other: late enough that the
 /// end is near, early enough that the prediction may be too high.
-const FIRST_SHARE: f64 = 0.4;
-/// Aimed at, relative to the target: estimates of the error err a little, too.
-const AIM: f64 = 0.975;
+const FIRST_SHARE: f64 = 0.55;
+/// Aimed at, relative to the target: estimates of the error err a little, too, and more often to the low side.
+const AIM: f64 = 0.965;
 /// The final counts are at most so many times the first ones: noise that a first look missed must not run away with the time.
 const GROWTH_MAX: f64 = 32.0;
 /// A pixel has at most so many samples.

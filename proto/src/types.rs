@@ -1,6 +1,7 @@
 //! What the wire speaks of, checked and typed. [`crate::convert`] makes these from messages; nothing behind it checks again.
 
 use std::fmt;
+use std::num::NonZeroU32;
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::RelativeError;
@@ -220,6 +221,8 @@ pub struct JobSpec {
     pub aim: Option<Aim>,
     /// Made up by the client: the same ticket again is the same job, and not another one like it. 0 is none.
     pub ticket: u64,
+    /// So many workers may work on it at a time, if not all. Checking what they bring is left to any.
+    pub workers_max: Option<NonZeroU32>,
 }
 
 /// An image that takes several jobs, for whoever looks on. Samples are counted over all pixels.

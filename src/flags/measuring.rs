@@ -8,6 +8,7 @@ use crate::bench::Bench;
 use crate::compare::Compare;
 use crate::scale::Scale;
 use clap::{Args, ValueEnum};
+use std::num::NonZeroU32;
 use std::path::PathBuf;
 
 pub const BENCH_EXAMPLES: &str = "\
@@ -90,15 +91,15 @@ pub const SCALE_EXAMPLES: &str = "\
 Examples:
   tilecast scale scene.xml --workers 1,2,4,8 --spp 256          writes scale.csv, .json, .md and .svg
   tilecast scale scene.xml --workers 1,2 --simulate 10000       and goes on with the real ledger on simulated time
-  tilecast scale scene.xml --connect 10.0.0.1:7878              the workers that there are";
+  tilecast scale scene.xml --connect 10.0.0.1:7878 --workers 1,4,16   of those that there are";
 
 #[derive(Args)]
 pub struct ScaleFlags {
     #[command(flatten)]
     picture: PictureFlags,
-    /// Numbers of worker processes to start, one after another
-    #[arg(long, value_name = "N,N,…", value_delimiter = ',', default_value = "1,2", value_parser = clap::value_parser!(u32).range(1..=i64::from(CHILDREN_MAX)))]
-    workers: Vec<u32>,
+    /// Numbers of workers, one after another: processes to start here (1,2 unless given), or some of those of --connect (all unless given)
+    #[arg(long, value_name = "N,N,…", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..))]
+    workers: Option<Vec<u32>>,
     /// Threads of each
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=i64::from(tilecast_proto::limits::THREADS_MAX)))]
     threads: u32,
@@ -111,8 +112,8 @@ pub struct ScaleFlags {
     /// Megabytes a second that the coordinator's line carries in the simulation
     #[arg(long, value_name = "MB/s", default_value_t = 125.0)]
     line: f64,
-    /// Measures the workers of a coordinator, as many as there are, instead of processes here
-    #[arg(long, value_name = "ADDR", conflicts_with_all = ["workers", "threads"])]
+    /// Measures the workers of a coordinator instead of processes here
+    #[arg(long, value_name = "ADDR", conflicts_with = "threads")]
     connect: Option<String>,
     /// Folder of certificates for --connect
     #[arg(long, value_name = "DIR", requires = "connect")]
@@ -134,8 +135,17 @@ impl ScaleFlags {
         }
         let connector =
             self.connect.map(|address| ConnectFlags::to(address, self.certs).ready(&CLIENTS)).transpose()?;
-        // What is there is one number of workers.
-        let workers = if connector.is_some() { vec![0] } else { workers };
+        let workers = match (workers, &connector) {
+            (Some(workers), Some(_)) => workers.into_iter().map(NonZeroU32::new).collect(),
+            (None, Some(_)) => vec![None],
+            (workers, None) => {
+                let workers = workers.unwrap_or_else(|| vec![1, 2]);
+                if let Some(many) = workers.iter().find(|&&workers| workers > CHILDREN_MAX) {
+                    return Err(Usage(format!("--workers {many}: at most {CHILDREN_MAX} processes here")).into());
+                }
+                workers.into_iter().map(NonZeroU32::new).collect()
+            }
+        };
         let (picture, isa, style) = (self.picture.ready(), self.isa.ready()?, self.style.ready());
         Ok(Scale { picture, workers, threads, repeats, simulate, line, connector, isa, out, style })
     }

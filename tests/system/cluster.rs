@@ -95,6 +95,7 @@ pub fn job() -> JobSpec {
         workers_hold_scene: false,
         aim: None,
         ticket: 0,
+        workers_max: None,
     }
 }
 

@@ -266,5 +266,15 @@ fn scaling_is_measured_with_workers_that_are_there() {
     let counts: Vec<u64> =
         told["rows"].as_array().unwrap().iter().map(|row| row["workers"].as_u64().unwrap()).collect();
     assert_eq!(counts, [2]);
+    // Some of them, by turns: the others are idle meanwhile.
+    let outcome = folder.tilecast(["scale", &scene, "--workers", "1,2"].iter().chain(&flags));
+    assert_eq!(outcome.code, Some(0), "{outcome:?}");
+    let told: Value = serde_json::from_slice(&std::fs::read(folder.path("scale.json")).unwrap()).unwrap();
+    let counts: Vec<u64> =
+        told["rows"].as_array().unwrap().iter().map(|row| row["workers"].as_u64().unwrap()).collect();
+    assert_eq!(counts, [1, 2]);
+    let outcome = folder.tilecast(["scale", &scene, "--workers", "3"].iter().chain(&flags));
+    assert_eq!(outcome.code, Some(1), "{outcome:?}");
+    assert!(outcome.stderr.contains("--workers 3: the coordinator has 2"), "{outcome:?}");
     drop(workers);
 }

@@ -293,6 +293,7 @@ fn waiting() -> JobSpec {
         workers_hold_scene: true,
         aim: None,
         ticket: 0,
+        workers_max: None,
     }
 }
 

@@ -63,6 +63,8 @@ impl Audits {
         for _ in 0..self.waiting.len() {
             let key = self.waiting.pop_front()?;
             match self.audits.get_mut(&key) {
+                // A unit that was taken out and done again may wait twice: once is enough.
+                Some(audit) if audit.lease.is_some() => {}
                 Some(audit) if audit.claims.iter().any(|claim| claim.0 == who) => self.waiting.push_back(key),
                 Some(audit) => {
                     audit.lease = Some((worker, fence));
@@ -75,8 +77,8 @@ impl Audits {
     }
 
     /// A lease of a check has ended without a claim.
-    pub fn give_back(&mut self, key: UnitKey) {
-        if let Some(audit) = self.audits.get_mut(&key) {
+    pub fn give_back(&mut self, key: UnitKey, worker: WorkerId, fence: Fence) {
+        if let Some(audit) = self.audits.get_mut(&key).filter(|audit| audit.lease == Some((worker, fence))) {
             audit.lease = None;
             self.waiting.push_back(key);
         }
@@ -171,6 +173,21 @@ mod tests {
         assert_eq!(audits.take(WorkerId(3), 3, Fence(4)), Some((KEY, 4..8)));
         assert_eq!(audits.claim(KEY, (3, Digest([2; 32]))), Finding::Guilty(vec![1]));
         assert!(audits.is_empty());
+    }
+
+    /// The liar's units are done again, and checked again: what waits from before must not make it two checks at a time,
+    /// each of which lets the other's result seem to be nobody's.
+    #[test]
+    fn a_unit_is_checked_by_one_at_a_time() {
+        let mut audits = audit();
+        audits.drop_claims(1);
+        audits.open(Duration::ZERO, KEY, 8, (2, Digest([1; 32])));
+        assert!(audits.take(WorkerId(3), 3, Fence(1)).is_some());
+        assert_eq!(audits.take(WorkerId(4), 4, Fence(2)), None);
+        audits.give_back(KEY, WorkerId(4), Fence(2));
+        assert!(audits.expects(KEY, 8, WorkerId(3), Fence(1)), "another's lease has ended, which it does not have");
+        audits.give_back(KEY, WorkerId(3), Fence(1));
+        assert!(audits.take(WorkerId(4), 4, Fence(3)).is_some());
     }
 
     #[test]

@@ -102,6 +102,8 @@ pub(super) struct Job {
     times: VecDeque<Duration>,
     /// Workers that cannot prepare its scene.
     pub barred: HashSet<WorkerId>,
+    /// Who has a place among those that work on it, where there are not places for all.
+    crew: HashSet<WorkerId>,
     pub relative_error: Option<RelativeError>,
     /// How the error came down.
     pub history: Vec<Point>,
@@ -136,6 +138,7 @@ impl Job {
             rates: HashMap::new(),
             times: VecDeque::new(),
             barred: HashSet::new(),
+            crew: HashSet::new(),
             relative_error: None,
             history: Vec::new(),
             queued_at: now,
@@ -308,6 +311,37 @@ impl Job {
         self.samples_done += unit.len();
         self.merging += 1;
         open
+    }
+
+    /// Whether a worker may have something of this job, other than to check it.
+    pub fn has_place_for(&self, worker: WorkerId) -> bool {
+        let places = self.places();
+        places.is_none_or(|places| self.crew.contains(&worker) || self.crew.len() < places)
+    }
+
+    /// How many workers may work on it at a time, if not all.
+    pub fn places(&self) -> Option<usize> {
+        self.spec.workers_max.map(|most| most.get() as usize)
+    }
+
+    /// A worker takes its place, if it has none yet.
+    pub fn join(&mut self, worker: WorkerId) {
+        if self.spec.workers_max.is_some() {
+            self.crew.insert(worker);
+        }
+    }
+
+    /// A worker cannot prepare the scene: another may have its place.
+    pub fn bar(&mut self, worker: WorkerId) {
+        self.barred.insert(worker);
+        self.crew.remove(&worker);
+    }
+
+    /// A worker is gone.
+    pub fn forget(&mut self, worker: WorkerId) {
+        self.rates.remove(&worker);
+        self.barred.remove(&worker);
+        self.crew.remove(&worker);
     }
 
     /// Notes that a worker gets something of the job.

@@ -218,7 +218,7 @@ impl Ledger {
                 }
             }
             Failure::Scene(text) => {
-                job.barred.insert(id);
+                job.bar(id);
                 if self.workers.keys().all(|worker| job.barred.contains(worker)) {
                     let why = format!("no worker can prepare the scene, last {host}: {text}");
                     self.end_job(now, held.job, JobState::Failed(why));

@@ -4,6 +4,7 @@ mod random;
 
 use super::*;
 use std::collections::HashMap;
+use std::num::NonZeroU32;
 use tilecast_core::scene::Digest;
 use tilecast_core::settings::{
     Film, Filter, Integrator, IntegratorKind, SamplerKind, Settings, Strategy, Window, Without,
@@ -34,6 +35,7 @@ fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
         workers_hold_scene: false,
         aim: None,
         ticket: 0,
+        workers_max: None,
     }
 }
 
@@ -100,7 +102,7 @@ impl World {
         self.ledger.progress(self.now, JobId(job)).unwrap().state
     }
 
-    /// One worker that always succeeds does what is left; how many leases it took.
+    /// One worker that always succeeds does what is left, once the others are forgotten; how many leases it took.
     fn finish(&mut self) -> usize {
         let worker = self.worker(2);
         let mut leases = 0;
@@ -108,8 +110,7 @@ impl World {
             self.now += Duration::from_millis(600);
             self.ledger.expire(self.now);
             let work = self.lease(worker, 4).unwrap();
-            let busy = self.ledger.workers.values().any(|w| !w.leases.is_empty());
-            if work.is_empty() && !busy {
+            if work.is_empty() && self.ledger.workers.len() == 1 {
                 return leases;
             }
             leases += work.len();
@@ -394,6 +395,23 @@ fn a_worker_that_drains_keeps_what_it_has_begun() {
     assert_eq!(world.submit(goes, &leases[0], 10), Verdict::Accepted);
     world.ledger.leave(goes, &[]);
     assert!(!world.ledger.knows(goes));
+}
+
+/// A job may want few workers: the others get nothing of it until a place is free, and a unit that failed comes back to the only one.
+#[test]
+fn a_job_is_worked_on_by_no_more_than_it_wants() {
+    let job = JobSpec { workers_max: NonZeroU32::new(1), ..spec(64, 64, 8) };
+    let mut world = World::new(&[job.clone()]);
+    let (first, second) = (world.worker(1), world.worker(1));
+    let leases = world.lease(first, 1).unwrap();
+    assert!(world.lease(second, 1).unwrap().is_empty());
+    world.ledger.fail(world.now, first, leases[0].fence, Failure::Panic("once".into())).unwrap();
+    assert_eq!(world.lease(first, 1).unwrap()[0].unit, leases[0].unit, "nobody else is there for it");
+    world.ledger.leave(first, &[]);
+    assert!(!world.lease(second, 1).unwrap().is_empty(), "its place is free");
+    world.ledger.leave(second, &[]);
+    world.finish();
+    world.every_sample_counts_once(&[job]);
 }
 
 #[test]

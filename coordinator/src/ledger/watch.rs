@@ -45,10 +45,7 @@ impl Ledger {
         if let Some(worker) = self.workers.remove(&id) {
             self.threads -= u64::from(worker.info.threads);
         }
-        self.jobs.values_mut().for_each(|job| {
-            job.rates.remove(&id);
-            job.barred.remove(&id);
-        });
+        self.jobs.values_mut().for_each(|job| job.forget(id));
     }
 
     /// Takes back leases that lapsed, forgets silent workers, and looks for units that take too long; whether there is work

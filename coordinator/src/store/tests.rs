@@ -25,6 +25,7 @@ fn spec() -> JobSpec {
         workers_hold_scene: true,
         aim: None,
         ticket: 0,
+        workers_max: None,
     }
 }
 

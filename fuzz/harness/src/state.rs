@@ -85,6 +85,7 @@ fn job(root: &Path, id: JobId) -> JobSpec {
         workers_hold_scene: false,
         aim: None,
         ticket: 0,
+        workers_max: None,
     };
     let (store, _) = Store::open(root, Disk::default()).expect("a new state");
     let job = RestoredJob { id, spec: spec.clone(), owner: None, queued_at: Duration::ZERO, end: None };

@@ -9,6 +9,7 @@ use crate::types::{
     Aim, Contribution, FilmHeader, JobId, JobSpec, JobState, Progress, WorkerId, WorkerInfo, WorkerStatus,
 };
 use crate::wire;
+use std::num::NonZeroU32;
 use std::ops::Range;
 use std::time::Duration;
 use tilecast_core::film::file::Target;
@@ -35,6 +36,7 @@ impl TryFrom<wire::Job> for JobSpec {
             workers_hold_scene: message.workers_hold_scene,
             aim: message.aim.map(Aim::try_from).transpose()?,
             ticket: message.ticket,
+            workers_max: NonZeroU32::new(message.workers_max),
         })
     }
 }
@@ -91,6 +93,7 @@ impl From<JobSpec> for wire::Job {
             workers_hold_scene: job.workers_hold_scene,
             aim: job.aim.map(Into::into),
             ticket: job.ticket,
+            workers_max: job.workers_max.map_or(0, NonZeroU32::get),
         }
     }
 }

@@ -118,11 +118,12 @@ fn hostile_sizes_are_refused() {
             workers_hold_scene: false,
             aim: None,
             ticket: 7,
+            workers_max: 3,
         })
     };
     let job = |settings: &Settings| ranged(settings, &[0], &[settings.spp]);
     let accepted = job(&settings()).unwrap();
-    assert_eq!(accepted.ticket, 7);
+    assert_eq!((accepted.ticket, accepted.workers_max.unwrap().get()), (7, 3));
     assert_eq!(JobSpec::try_from(wire::Job::from(accepted.clone())), Ok(accepted));
     let spp = settings().spp;
     for (starts, ends) in [(&[][..], &[][..]), (&[0], &[0]), (&[0], &[spp + 1]), (&[2], &[1]), (&[0, 0], &[1])] {

@@ -83,9 +83,10 @@ proptest! {
     #[test]
     fn every_sample_counts_exactly_once(
         events in events(),
-        sizes in prop::collection::vec((1u32..50, 1u32..40, 1u32..40), 1..3),
+        sizes in prop::collection::vec((1u32..50, 1u32..40, 1u32..40, 0u32..3), 1..3),
     ) {
-        let jobs: Vec<JobSpec> = sizes.iter().map(|&(w, h, spp)| spec(w, h, spp)).collect();
+        let job = |&(w, h, spp, most): &(u32, u32, u32, u32)| JobSpec { workers_max: NonZeroU32::new(most), ..spec(w, h, spp) };
+        let jobs: Vec<JobSpec> = sizes.iter().map(job).collect();
         let mut world = World::new(&jobs);
         let mut workers = Vec::new();
         for (who, event) in events {
