@@ -29,6 +29,8 @@ const PILOT_FIRST: u32 = 16;
 /// It goes on to so many where few pixels carry the noise, as by a lamp smaller than a pixel: they say little of it, and what that
 /// costs is little to what they need.
 const PILOT_OF_FEW: f64 = 128.0;
+/// How far all must grow is said by pilot and half together, if the half has not seen so many times as many samples.
+const PILOT_WEIGHS: f64 = 8.0;
 /// The pilot grows until it is this part of what it predicts…
 const PILOT_SHARE: f64 = 1.0 / 32.0;
 /// … and no further than this.
@@ -84,6 +86,16 @@ pub struct Search {
     state: State,
 }
 
+/// What a pilot has found.
+#[derive(Debug)]
+struct Pilot {
+    /// Its samples a pixel.
+    count: u32,
+    noise: Noise,
+    /// γ over its last doublings.
+    rate: f64,
+}
+
 #[derive(Debug)]
 enum State {
     /// The pilot so far, its count, and the image's noise at each count before.
@@ -94,7 +106,7 @@ enum State {
     },
     /// Counts that the pilot chose.
     First {
-        pilot: (u32, Noise),
+        pilot: Pilot,
         counts: Vec<u32>,
     },
     /// One half after the other to the counts that the other one chose.
@@ -203,7 +215,7 @@ impl Search {
         }
         let counts = counts.iter().map(|n| in_sets(FIRST_SHARE * n)).collect();
         let noise = history.pop().map_or_else(|| Noise::of(&film, Half::Both, &self.tiles), |(_, noise)| noise);
-        State::First { pilot: (count, noise), counts }
+        State::First { pilot: Pilot { count, noise, rate: model.rate() }, counts }
     }
 
     /// What a pilot predicts, and the counts; `None` while it says too little.
@@ -220,16 +232,18 @@ impl Search {
     }
 
     /// Each half's noise decides the other's counts; where samples go, pilot and half decide together.
-    fn exchange(&self, (pilot_count, pilot): (u32, Noise), counts: Vec<u32>, film: Film) -> State {
-        // Two replicates of few pixels may agree by chance.
-        let few = pilot.is_on_few();
+    fn exchange(&self, pilot: Pilot, counts: Vec<u32>, film: Film) -> State {
+        let mean = counts.iter().map(|&count| f64::from(count)).sum::<f64>() / counts.len() as f64;
+        // Two replicates of few pixels may agree by chance; and a half that has not seen many more samples tells no more.
+        let pilot_tells = pilot.noise.is_on_few() || PILOT_WEIGHS * f64::from(pilot.count) > mean;
         let decided_by = |half: Half| -> Vec<u32> {
             let noise = Noise::of(&film, half, &self.tiles);
-            let rate = noise.rate_since(&pilot, pilot_count, &counts, self.target);
+            let since = || noise.rate_since(&pilot.noise, pilot.count, &counts, self.target);
+            let rate = if pilot_tells { pilot.rate } else { since() };
             let seen = noise.at_one(&counts, rate);
-            let both = seen.with(&pilot.at_one(&vec![pilot_count; counts.len()], rate));
+            let both = seen.with(&pilot.noise.at_one(&vec![pilot.count; counts.len()], rate));
             let model = Model::new(&both, self.target, rate);
-            let wanted = model.counts(if few { &both } else { &seen }, &counts, AIM);
+            let wanted = model.counts(if pilot_tells { &both } else { &seen }, &counts, AIM);
             wanted.iter().zip(&counts).map(|(&n, &first)| in_sets(n.min(GROWTH_MAX * f64::from(first)))).collect()
         };
         let halves = [decided_by(Half::Second), decided_by(Half::First)];

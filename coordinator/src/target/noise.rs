@@ -108,16 +108,13 @@ impl Noise {
         ((before / after).ln() / factor.ln()).clamp(RATES[0], RATES[1])
     }
 
-    /// γ between a pilot and this, whose tiles have different counts: by bisection.
+    /// γ between a pilot and this, whose tiles have different counts, all in all more: by bisection.
     pub fn rate_since(&self, pilot: &Noise, pilot_count: u32, counts: &[u32], target: Target) -> f64 {
         let of = |rate: f64| {
             let scaled = |(v, &n): (&f64, &u32)| v * (f64::from(pilot_count) / f64::from(n)).powf(rate);
             let variance = pilot.variance.iter().zip(counts).map(scaled).collect();
             Noise { variance, ..pilot.clone() }.total(target)
         };
-        if pilot.is_on_few() {
-            return RATES[0];
-        }
         let (seen, [mut low, mut high]) = (self.total(target), RATES);
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
@@ -213,6 +210,11 @@ impl Model {
             left <= 0.0
         });
         reaching.map_or(1.0, |&(scale, _)| scale)
+    }
+
+    /// γ.
+    pub fn rate(&self) -> f64 {
+        self.rate
     }
 
     /// Samples a pixel, on average over tiles with these counts.
