@@ -401,7 +401,14 @@ impl Ledger {
     /// Ends those leases of a worker that `which` picks; their units wait for someone, unless another has them too.
     fn take_back(&mut self, id: WorkerId, which: impl Fn(&Fence, &Held) -> bool) -> Vec<Held> {
         let Some(worker) = self.workers.get_mut(&id) else { return Vec::new() };
-        let taken: Vec<(Fence, Held)> = worker.leases.extract_if(.., |fence, held| which(fence, held)).collect();
+        let mut taken: Vec<(Fence, Held)> = Vec::new();
+        worker.leases.retain(|&fence, held| {
+            let goes = which(&fence, held);
+            if goes {
+                taken.push((fence, *held));
+            }
+            !goes
+        });
         for (fence, held) in &taken {
             let Some(job) = self.jobs.get_mut(&held.job) else { continue };
             if held.audit {

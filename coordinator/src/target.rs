@@ -30,7 +30,7 @@ const PILOT_FIRST: u32 = 16;
 /// costs is little to what they need.
 const PILOT_OF_FEW: f64 = 128.0;
 /// How far all must grow is said by pilot and half together, if the half has not seen so many times as many samples.
-const PILOT_WEIGHS: f64 = 8.0;
+const PILOT_WEIGHS: f64 = 2.0;
 /// The pilot grows until it is this part of what it predicts…
 const PILOT_SHARE: f64 = 1.0 / 32.0;
 /// … and no further than this.
