@@ -232,7 +232,7 @@ fn a_job_that_was_interrupted_is_timed_from_where_it_goes_on() {
     let mut world = World::new(&[]);
     let id = JobId(3);
     let restored = RestoredJob { id, spec: spec(32, 16, 64), owner: None, queued_at: Duration::ZERO, end: None };
-    let half = Ranges::from_sorted(vec![0..64]).unwrap();
+    let half = Ranges::from_sorted(std::iter::once(0..64).collect()).unwrap();
     world.ledger.restore_job(restored, vec![half, Ranges::default()]).unwrap();
     world.now = night;
     let worker = world.worker(1);
@@ -401,7 +401,7 @@ fn a_worker_that_drains_keeps_what_it_has_begun() {
 #[test]
 fn a_job_is_worked_on_by_no_more_than_it_wants() {
     let job = JobSpec { workers_max: NonZeroU32::new(1), ..spec(64, 64, 8) };
-    let mut world = World::new(&[job.clone()]);
+    let mut world = World::new(std::slice::from_ref(&job));
     let (first, second) = (world.worker(1), world.worker(1));
     let leases = world.lease(first, 1).unwrap();
     assert!(world.lease(second, 1).unwrap().is_empty());
@@ -411,7 +411,7 @@ fn a_job_is_worked_on_by_no_more_than_it_wants() {
     assert!(!world.lease(second, 1).unwrap().is_empty(), "its place is free");
     world.ledger.leave(second, &[]);
     world.finish();
-    world.every_sample_counts_once(&[job]);
+    world.every_sample_counts_once(std::slice::from_ref(&job));
 }
 
 #[test]
