@@ -191,17 +191,7 @@ impl Cluster {
         }
         let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
         let samples = vec![ready.samples.clone()];
-        let job = JobSpec {
-            scene,
-            settings,
-            tile: render.tile,
-            samples,
-            name: String::new(),
-            workers_hold_scene,
-            aim: None,
-            ticket: 0,
-            workers_max: None,
-        };
+        let job = JobSpec { tile: render.tile, samples, workers_hold_scene, ..JobSpec::new(scene, settings) };
         let mut line = Line::new(&client, ready, &render.output, stop, async || self.news().await);
         line.keep = render.state.is_some();
         follow(line, render.goal, job, report).await

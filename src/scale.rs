@@ -160,18 +160,7 @@ async fn measure(
     let job = |spp: u32, tile: Option<u32>, workers_max: Option<NonZeroU32>| {
         let mut settings = ready.settings.clone();
         settings.spp = spp;
-        let name = "scale".to_owned();
-        JobSpec {
-            scene: ready.blobs.digest,
-            settings,
-            tile,
-            samples: std::iter::once(0..spp).collect(),
-            name,
-            workers_hold_scene: false,
-            aim: None,
-            ticket: 0,
-            workers_max,
-        }
+        JobSpec { tile, name: "scale".to_owned(), workers_max, ..JobSpec::new(ready.blobs.digest, settings) }
     };
     // All must have worked before: who comes late has its scene compiled in the time that is measured.
     for _ in 0..WARM_UPS_MAX {
@@ -309,17 +298,7 @@ fn beyond(scale: &Scale, ready: &Ready, counts: &[u32], costs: &Costs) -> Vec<Be
 }
 
 fn spec(ready: &Ready) -> JobSpec {
-    JobSpec {
-        scene: ready.blobs.digest,
-        settings: ready.settings.clone(),
-        tile: None,
-        samples: std::iter::once(0..ready.settings.spp).collect(),
-        name: String::new(),
-        workers_hold_scene: true,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
-    }
+    JobSpec::new(ready.blobs.digest, ready.settings.clone())
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -45,17 +45,7 @@ pub async fn run(submit: Submit) -> anyhow::Result<()> {
     unless_stopped(&stop, client.upload(&Arc::new(scene), &ready.blobs)).await??;
     let (scene, settings) = (ready.blobs.digest, ready.settings.clone());
     let samples = vec![ready.samples.clone()];
-    let job = JobSpec {
-        scene,
-        settings,
-        tile: submit.tile,
-        samples,
-        name,
-        workers_hold_scene: false,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
-    };
+    let job = JobSpec { tile: submit.tile, samples, name, ..JobSpec::new(scene, settings) };
     let line = Line::new(&client, &ready, &submit.output, &stop, async || std::future::pending().await);
     follow(line, submit.goal, job, &mut report).await.map(|_| ())
 }

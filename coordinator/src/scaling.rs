@@ -322,17 +322,7 @@ mod tests {
     use tilecast_core::scene::Digest;
 
     fn spec(spp: u32) -> JobSpec {
-        JobSpec {
-            scene: Digest([1; 32]),
-            settings: settings(256, 256, spp),
-            tile: None,
-            samples: std::iter::once(0..spp).collect(),
-            name: String::new(),
-            workers_hold_scene: true,
-            aim: None,
-            ticket: 0,
-            workers_max: None,
-        }
+        JobSpec::new(Digest([1; 32]), settings(256, 256, spp))
     }
 
     fn costs() -> Costs {

@@ -225,6 +225,23 @@ pub struct JobSpec {
     pub workers_max: Option<NonZeroU32>,
 }
 
+impl JobSpec {
+    /// All samples of every pixel, by whoever there is; the rest is as little as can be said.
+    pub fn new(scene: Digest, settings: Settings) -> Self {
+        Self {
+            scene,
+            samples: vec![Range { start: 0, end: settings.spp }],
+            settings,
+            tile: None,
+            name: String::new(),
+            workers_hold_scene: false,
+            aim: None,
+            ticket: 0,
+            workers_max: None,
+        }
+    }
+}
+
 /// An image that takes several jobs, for whoever looks on. Samples are counted over all pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Aim {

@@ -86,17 +86,7 @@ pub fn settings() -> Settings {
 }
 
 pub fn job() -> JobSpec {
-    JobSpec {
-        scene: scene().blobs().digest,
-        settings: settings(),
-        samples: std::iter::once(0..settings().spp).collect(),
-        tile: Some(16),
-        name: "triangle".into(),
-        workers_hold_scene: false,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
-    }
+    JobSpec { tile: Some(16), name: "triangle".into(), ..JobSpec::new(scene().blobs().digest, settings()) }
 }
 
 pub fn tracer() -> Arc<Tracer> {

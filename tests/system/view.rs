@@ -282,19 +282,7 @@ async fn serve(config: Config) -> (String, String) {
 
 /// A job that waits for workers.
 fn waiting() -> JobSpec {
-    let settings = settings();
-    let samples = std::iter::once(0..settings.spp).collect();
-    JobSpec {
-        scene: Digest([7; 32]),
-        settings,
-        tile: None,
-        samples,
-        name: "box".into(),
-        workers_hold_scene: true,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
-    }
+    JobSpec { name: "box".into(), workers_hold_scene: true, ..JobSpec::new(Digest([7; 32]), settings()) }
 }
 
 /// Every path, for everyone. Planted faults: a route without its layer, a role that is not looked at.

@@ -237,7 +237,6 @@ fn state(site: &Inner) -> String {
 /// A job, and what its progress does not say.
 struct Shown {
     progress: Progress,
-    speed: f64,
     submitted: Duration,
     left: u64,
     aim: Option<Aim>,
@@ -250,14 +249,15 @@ fn jobs(ledger: &Ledger, now: Duration) -> (Vec<Shown>, usize) {
     let shown = going.iter().chain(ended.iter().rev()).take(JOBS_SHOWN_MAX);
     let describe = |&id: &JobId| {
         let (progress, submitted) = (ledger.progress(now, id).ok()?, ledger.queued_at(id)?);
-        Some(Shown { progress, speed: ledger.speed(id), submitted, left: ledger.left(id), aim: ledger.aim(id) })
+        Some(Shown { progress, submitted, left: ledger.left(id), aim: ledger.aim(id) })
     };
     let mut jobs: Vec<Shown> = shown.filter_map(describe).collect();
     jobs.sort_by_key(|job| std::cmp::Reverse(job.progress.job));
     (jobs, all.len())
 }
 
-fn row(shared: &Shared, Shown { progress, speed, submitted, left, aim }: Shown) -> Job {
+fn row(shared: &Shared, Shown { progress, submitted, left, aim }: Shown) -> Job {
+    let speed = progress.samples_per_second;
     let state = state_name(&progress.state);
     let why = if let JobState::Failed(why) = progress.state { Some(why) } else { None };
     let crop = progress.settings.film.crop;

@@ -144,7 +144,7 @@ fn jobs(ledger: &Ledger, now: Duration, values: &mut Values) {
         if let Some(Target::Image(target) | Target::Pixels(target)) = ledger.aim(job.job).and_then(|aim| aim.target) {
             put("tilecast_job_target_ratio", f64::from(target));
         }
-        let speed = ledger.speed(job.job);
+        let speed = job.samples_per_second;
         if speed > 0.0 {
             put("tilecast_job_left_seconds", ledger.left(job.job) as f64 / speed);
         }

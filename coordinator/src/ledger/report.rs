@@ -140,7 +140,7 @@ impl Ledger {
     }
 
     /// Samples a second that those who work on a job are good for, as last measured.
-    pub fn speed(&self, id: JobId) -> f64 {
+    fn speed(&self, id: JobId) -> f64 {
         let Some(job) = self.jobs.get(&id).filter(|job| !job.state.is_final()) else { return 0.0 };
         let holders = self.workers.iter().filter(|(_, worker)| worker.leases.values().any(|held| held.job == id));
         holders.filter_map(|(&id, worker)| Some(job.rate(id)? * f64::from(worker.info.threads))).sum()

@@ -26,17 +26,7 @@ pub(crate) fn settings(width: u32, height: u32, spp: u32) -> Settings {
 }
 
 fn spec(width: u32, height: u32, spp: u32) -> JobSpec {
-    JobSpec {
-        samples: std::iter::once(0..spp).collect(),
-        scene: Digest([1; 32]),
-        settings: settings(width, height, spp),
-        tile: Some(16),
-        name: String::new(),
-        workers_hold_scene: false,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
-    }
+    JobSpec { tile: Some(16), ..JobSpec::new(Digest([1; 32]), settings(width, height, spp)) }
 }
 
 fn info(threads: u32) -> WorkerInfo {

@@ -17,15 +17,10 @@ pub(crate) const JOB: JobId = JobId(1);
 
 fn spec() -> JobSpec {
     JobSpec {
-        scene: Digest([1; 32]),
-        settings: settings(32, 16, SPP),
-        samples: std::iter::once(0..SPP).collect(),
         tile: Some(16),
         name: "n".into(),
         workers_hold_scene: true,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
+        ..JobSpec::new(Digest([1; 32]), settings(32, 16, SPP))
     }
 }
 

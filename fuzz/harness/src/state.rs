@@ -75,18 +75,7 @@ fn settings() -> Settings {
 
 /// A state of one job.
 fn job(root: &Path, id: JobId) -> JobSpec {
-    let settings = settings();
-    let spec = JobSpec {
-        scene: Digest::of(b"scene"),
-        samples: std::iter::once(0..settings.spp).collect(),
-        settings,
-        tile: None,
-        name: String::new(),
-        workers_hold_scene: false,
-        aim: None,
-        ticket: 0,
-        workers_max: None,
-    };
+    let spec = JobSpec::new(Digest::of(b"scene"), settings());
     let (store, _) = Store::open(root, Disk::default()).expect("a new state");
     let job = RestoredJob { id, spec: spec.clone(), owner: None, queued_at: Duration::ZERO, end: None };
     store.add_job(&job).expect("a job");
