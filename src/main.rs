@@ -44,7 +44,7 @@ const USAGE: u8 = 2;
 const ASYNC_THREADS: usize = 2;
 
 fn main() -> ExitCode {
-    memory::give_back_large_blocks();
+    memory::give_back_at_once();
     match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

@@ -1,16 +1,18 @@
-//! How the allocator of the C library keeps what is freed.
+//! The allocator, mimalloc: what was freed does not stay in pieces between what is in use. With glibc's a coordinator kept 350 MB
+//! after ten thousand connections had come and gone twice, with this one 210.
+//!
+//! Without huge pages: they take a third more memory and make no scene faster that was tried.
 #![allow(unsafe_code)]
 
-/// Gives blocks of more than a megabyte back to the system as soon as they are freed. Left alone, glibc keeps blocks of up to
-/// 32 MB for later, in every thread's own store: a third of the peak while a scene of a million triangles is compiled.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-pub fn give_back_large_blocks() {
-    const LARGE: libc::c_int = 1 << 20;
-    // SAFETY: a call that takes two integers; it changes no block that is in use, and nothing else runs yet.
-    // A refusal (0) leaves things as they were.
-    unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE) };
-}
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Other allocators look after themselves.
-#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
-pub fn give_back_large_blocks() {}
+/// `mi_option_purge_delay` of mimalloc.h, which its bindings leave out.
+const PURGE_DELAY: libmimalloc_sys::mi_option_t = 15;
+
+/// Gives pages back to the system as soon as they are free, not some milliseconds later: a third of the peak while a scene of a
+/// million triangles is compiled.
+pub fn give_back_at_once() {
+    // SAFETY: a call that takes two integers; it changes no block that is in use.
+    unsafe { libmimalloc_sys::mi_option_set(PURGE_DELAY, 0) };
+}
