@@ -19,8 +19,8 @@ soak:
     TILECAST_RUNS=100 cargo test --release --test system -- costs flood --nocapture --test-threads 1 --include-ignored
     TMPDIR=/dev/shm TILECAST_SEEDS=10000 cargo test --release -p tilecast-coordinator sim
 
-# So many workers over gRPC: what one costs the coordinator, and so what 10,000 would. Each takes two open files here.
-crowd workers="2000":
+# So many workers over gRPC, and what they cost the coordinator. Each takes an open file there and one in the test.
+crowd workers="10000":
     TILECAST_CROWD={{workers}} cargo test --release --test system -- crowd --nocapture
 
 # Cuts the link between coordinator and workers for 1 to 30 s, several times. Needs root and iproute2; says so where it cannot run.

@@ -62,9 +62,9 @@ const DIGEST_BYTES: usize = 34;
 /// A worker says this often which leases it holds.
 pub const HEARTBEAT_MS: u64 = 1000;
 /// Or this often, where there are thousands.
-pub const HEARTBEAT_MS_MAX: u64 = 1600;
+pub const HEARTBEAT_MS_MAX: u64 = 2000;
 /// A lease nobody has renewed for this long lapses: a few heartbeats may be lost without harm.
-pub const LEASE_SILENCE_MS: u64 = 5000;
+pub const LEASE_SILENCE_MS: u64 = 6200;
 /// How often the coordinator looks for lapsed leases.
 pub const EXPIRY_TICK_MS: u64 = 500;
 /// Within this time the units of a silent worker are given out again.

@@ -26,8 +26,8 @@ const UNIT: Duration = Duration::from_secs(5);
 const UNITS_LOOKED_ON: u32 = 4;
 /// The whole crowd that one core must be enough for.
 const CROWD: f64 = 10_000.0;
-/// So many tell what each of them costs.
-const MANY: u64 = 1000;
+/// So many tell what each of them costs: fewer find the coordinator asleep, and wake it up for every call.
+const MANY: u64 = 5000;
 /// A fake's units are small on the wire, as those of so many workers must be: 16 pixels a side.
 const TILE: &str = "16";
 

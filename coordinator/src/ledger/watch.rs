@@ -11,7 +11,7 @@ use tilecast_proto::limits::{HEARTBEAT_MS, HEARTBEAT_MS_MAX, LEASE_SILENCE_MS};
 /// Whoever was not heard for so long when its leases lapse has probably died.
 const SILENCE_OF_THE_DEAD: Duration = Duration::from_millis(LEASE_SILENCE_MS * 3 / 5);
 /// So many workers more let all say a millisecond less often that they live: that is most of what a crowd says.
-const HEARTBEAT_CROWD: u64 = 16;
+const HEARTBEAT_CROWD: u64 = 10;
 
 impl Ledger {
     /// How often a worker is to be heard.
