@@ -2,6 +2,8 @@
 //!
 //! It uses `tilecast-core` alone; what the cluster costs is measured from outside, by whole processes.
 
+pub mod rays;
+
 use anyhow::Context;
 use rayon::prelude::*;
 use std::path::Path;

@@ -5,11 +5,9 @@
 
 use glam::Vec3;
 use std::time::Instant;
+use tilecast_bench::rays::{AllClosest, AllOccluded, vectors};
 use tilecast_core::bvh::simd::{Isa, Kernel, Lanes};
 use tilecast_core::bvh::{Ray, TriangleBvh, TriangleHit};
-
-/// Rays handed over at once.
-const BATCH: usize = 256;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -65,65 +63,6 @@ fn main() -> Result<(), Failure> {
         }
     }
     hits.map_or(Ok(()), |file| compare(&mesh, &rays, &std::fs::read(file)?))
-}
-
-/// Little-endian f32 triples.
-fn vectors(bytes: &[u8]) -> Vec<Vec3> {
-    bytes
-        .chunks_exact(12)
-        .map(|b| Vec3::from_array([0, 4, 8].map(|i| f32::from_le_bytes([b[i], b[i + 1], b[i + 2], b[i + 3]]))))
-        .collect()
-}
-
-/// Closest hits of all rays, one by one or many at once: how many, and the sum of t.
-struct AllClosest<'a>(&'a TriangleBvh, &'a [Ray], bool);
-
-impl Kernel for AllClosest<'_> {
-    type Output = (usize, f64);
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, lanes: L) -> (usize, f64) {
-        let AllClosest(mesh, rays, many) = self;
-        let mut all = (0, 0.0);
-        let mut add = |hit: Option<TriangleHit>| {
-            if let Some(hit) = hit {
-                all.0 += 1;
-                all.1 += f64::from(hit.t);
-            }
-        };
-        if many {
-            let mut hits = [None; BATCH];
-            for rays in rays.chunks(BATCH) {
-                mesh.closest_many(lanes, rays, &mut hits[..rays.len()]);
-                hits[..rays.len()].iter().for_each(|&hit| add(hit));
-            }
-        } else {
-            rays.iter().for_each(|ray| add(mesh.closest(lanes, ray)));
-        }
-        all
-    }
-}
-
-/// How many of all rays are occluded, one by one or many at once.
-struct AllOccluded<'a>(&'a TriangleBvh, &'a [Ray], bool);
-
-impl Kernel for AllOccluded<'_> {
-    type Output = usize;
-
-    #[inline(always)]
-    fn run<L: Lanes>(self, lanes: L) -> usize {
-        let AllOccluded(mesh, rays, many) = self;
-        if !many {
-            return rays.iter().filter(|ray| mesh.occluded(lanes, ray)).count();
-        }
-        let mut occluded = [false; BATCH];
-        let mut count = 0;
-        for rays in rays.chunks(BATCH) {
-            mesh.occluded_many(lanes, rays, &mut occluded[..rays.len()]);
-            count += occluded[..rays.len()].iter().filter(|&&o| o).count();
-        }
-        count
-    }
 }
 
 struct One<'a>(&'a TriangleBvh, &'a Ray);
