@@ -19,7 +19,7 @@ const ELSEWHERE: [(&str, &str, usize); 11] = [
     ("docs/first-render.md", "source", 1),
     ("docs/kubernetes.md", "kubernetes", 4),
     ("docs/kubernetes.md", "podman", 2),
-    ("docs/performance.md", "hours", 7),
+    ("docs/performance.md", "hours", 9),
     ("docs/python.md", "python", 3),
     ("docs/sampling.md", "hours", 2),
     ("docs/services.md", "podman", 2),
