@@ -1,7 +1,8 @@
 //! The allocator, mimalloc: what was freed does not stay in pieces between what is in use. With glibc's a coordinator kept 350 MB
 //! after ten thousand connections had come and gone twice, with this one 210.
 //!
-//! Without huge pages: they take a third more memory and make no scene faster that was tried.
+//! Without huge pages for everything: they take a third more memory and make no scene faster that was tried. Large hierarchies ask for
+//! theirs.
 #![allow(unsafe_code)]
 
 #[global_allocator]

@@ -6,6 +6,7 @@
 
 use super::Aabb;
 use super::node::{Bvh8, Child, Leaf, Node, WIDTH};
+use super::simd::settled;
 use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 
@@ -185,6 +186,18 @@ fn balanced_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
     tree.counted()
 }
 
+/// The least cost of two twigs as `trees` trees together, from the costs of each, and how many of them the left one gets.
+fn split([left, right]: &[[f32; WIDTH - 1]; 2], trees: usize) -> (f32, usize) {
+    let mut best = (f32::INFINITY, 1);
+    for of_left in 1..trees {
+        let cost = left[of_left - 1] + right[trees - of_left - 1];
+        if cost < best.0 {
+            best = (cost, of_left);
+        }
+    }
+    best
+}
+
 struct Collapse<'a> {
     tree: BinaryTree<'a>,
     /// Of the inner nodes.
@@ -206,7 +219,7 @@ impl<'a> Collapse<'a> {
         }
         let mut built = collapse.emit();
         // The tree is gone: there is room for a copy.
-        built.bvh.nodes.shrink_to_fit();
+        built.bvh.nodes = settled(built.bvh.nodes);
         built
     }
 
@@ -219,33 +232,22 @@ impl<'a> Collapse<'a> {
         self.tree.bounds(twig).half_area() * blocks * self.leaf.block_cost
     }
 
-    /// `cost[n][trees - 1]`: a box is one tree, however many it may be.
-    fn cost(&self, twig: Twig, trees: usize) -> f32 {
-        twig.index().map_or_else(|inner| self.cost[inner][trees - 1], |_| self.leaf_cost(twig))
+    /// The costs of what is below as at most one tree, two, …: a box is one tree, however many it may be.
+    fn costs(&self, twig: Twig) -> [f32; WIDTH - 1] {
+        twig.index().map_or_else(|inner| self.cost[inner], |_| [self.leaf_cost(twig); WIDTH - 1])
     }
 
     fn content(&self, twig: Twig) -> f32 {
         twig.index().map_or_else(|inner| self.content[inner], |leaf| self.tree.boxes[leaf as usize].half_area())
     }
 
-    /// The least cost of an inner node's two twigs as `trees` trees together, and how many of them the left one gets.
-    fn split(&self, index: usize, trees: usize) -> (f32, usize) {
-        let [left, right] = self.tree.inner[index].below;
-        let mut best = (f32::INFINITY, 1);
-        for of_left in 1..trees {
-            let cost = self.cost(left, of_left) + self.cost(right, trees - of_left);
-            if cost < best.0 {
-                best = (cost, of_left);
-            }
-        }
-        best
-    }
-
     fn forests(&self, index: usize) -> [f32; WIDTH - 1] {
-        let as_node = self.split(index, WIDTH).0 + self.tree.inner[index].bounds.half_area();
+        let Inner { bounds, below, .. } = &self.tree.inner[index];
+        let below = below.map(|twig| self.costs(twig));
+        let as_node = split(&below, WIDTH).0 + bounds.half_area();
         let mut cost = [self.leaf_cost(Twig::inner(index)).min(as_node); WIDTH - 1];
         for trees in 2..WIDTH {
-            cost[trees - 1] = cost[trees - 2].min(self.split(index, trees).0);
+            cost[trees - 1] = cost[trees - 2].min(split(&below, trees).0);
         }
         cost
     }
@@ -261,15 +263,15 @@ impl<'a> Collapse<'a> {
     }
 
     fn roots_below(&self, index: usize, trees: usize, out: &mut Vec<Twig>) {
-        let of_left = self.split(index, trees).1;
         let [left, right] = self.tree.inner[index].below;
+        let of_left = split(&[self.costs(left), self.costs(right)], trees).1;
         self.roots(left, of_left, out);
         self.roots(right, trees - of_left, out);
     }
 
     fn is_leaf(&self, twig: Twig) -> bool {
         let count = self.tree.count(twig);
-        count == 1 || count <= self.leaf.max_count && self.leaf_cost(twig) <= self.cost(twig, 1)
+        count == 1 || count <= self.leaf.max_count && self.leaf_cost(twig) <= self.costs(twig)[0]
     }
 
     /// The chance that a ray which passes the box hits something in it, by the cost of finding out. An any-hit traversal
@@ -277,21 +279,22 @@ impl<'a> Collapse<'a> {
     /// of the surface, and half of what passes a primitive's box hits it.
     fn promise(&self, twig: Twig) -> f32 {
         let area = self.tree.bounds(twig).half_area();
-        let cost = if self.is_leaf(twig) { self.leaf_cost(twig) } else { self.cost(twig, 1) };
+        let cost = if self.is_leaf(twig) { self.leaf_cost(twig) } else { self.costs(twig)[0] };
         let density = 0.5 * self.content(twig) / area;
         density / (1.0 + density) * area / cost
     }
 
-    /// Appends the boxes below.
+    /// Appends the boxes below: few, so that calls do not go deep.
+    fn append(&self, twig: Twig, order: &mut Vec<u32>) {
+        match twig.index() {
+            Ok(leaf) => order.push(leaf),
+            Err(inner) => self.tree.inner[inner].below.iter().for_each(|&below| self.append(below, order)),
+        }
+    }
+
     fn leaf_at(&self, twig: Twig, order: &mut Vec<u32>) -> Leaf {
         let first = order.len() as u32;
-        let mut open = vec![twig];
-        while let Some(twig) = open.pop() {
-            match twig.index() {
-                Ok(leaf) => order.push(leaf),
-                Err(inner) => open.extend(self.tree.inner[inner].below.iter().rev()),
-            }
-        }
+        self.append(twig, order);
         Leaf { first, count: order.len() as u32 - first }
     }
 
@@ -300,6 +303,7 @@ impl<'a> Collapse<'a> {
         let mut order = Vec::with_capacity(self.tree.boxes.len());
         let mut open = vec![(self.tree.root, 0)];
         let mut roots = Vec::with_capacity(WIDTH);
+        let mut promising = Vec::with_capacity(WIDTH);
         while let Some((twig, wide)) = open.pop() {
             roots.clear();
             match twig.index() {
@@ -307,9 +311,11 @@ impl<'a> Collapse<'a> {
                 // Only the root of the whole tree: a node with one leaf.
                 _ => roots.push(twig),
             }
-            roots.sort_by(|&a, &b| self.promise(b).total_cmp(&self.promise(a)));
+            promising.clear();
+            promising.extend(roots.iter().map(|&twig| (self.promise(twig), twig)));
+            promising.sort_by(|(a, _), (b, _)| b.total_cmp(a));
             let opened = open.len();
-            for (slot, &below) in roots.iter().enumerate() {
+            for (slot, &(_, below)) in promising.iter().enumerate() {
                 let child = if self.is_leaf(below) {
                     Child::leaf(self.leaf_at(below, &mut order))
                 } else {

@@ -25,7 +25,7 @@ pub use traverse::{Leaves, Ray, Slabs};
 pub use triangle::triangle_bounds;
 
 use glam::Vec3;
-use simd::{Kernel, Lanes};
+use simd::{Kernel, Lanes, settled};
 use triangle::{BLOCK, Block, Blocks};
 
 /// Where a ray meets a triangle.
@@ -68,8 +68,7 @@ impl TriangleBvh {
             blocks.extend(triangles.chunks(BLOCK).map(block));
             Leaf { first: first as u32, count: (blocks.len() - first) as u32 }
         });
-        blocks.shrink_to_fit();
-        Self { bvh, blocks }
+        Self { bvh, blocks: settled(blocks) }
     }
 
     /// The nearest hit with `0 < t <= ray.t_max`, on either side of a triangle.

@@ -1,4 +1,4 @@
-//! What the traversal asks of memory: a stack that is not cleared for each ray, and lines fetched ahead.
+//! What the traversal asks of memory: a stack that is not cleared for each ray, lines fetched ahead, and huge pages.
 
 #![allow(unsafe_code)]
 
@@ -124,4 +124,55 @@ fn prefetch_address(address: *const u8) {
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = address;
+}
+
+/// From here on huge pages are asked for: smaller tables have their addresses in the processor's own table of pages anyway.
+const HUGE_BYTES_MIN: usize = 8 << 20;
+
+/// The same items in memory of just their size, in huge pages if they take so much and the system has some to give: rays go
+/// everywhere in a large table, and where a small page lies is looked up in memory, too.
+pub fn settled<T>(mut items: Vec<T>) -> Vec<T> {
+    let mut settled = Vec::with_capacity(items.len());
+    if size_of_val(items.as_slice()) >= HUGE_BYTES_MIN {
+        ask_for_huge_pages(settled.spare_capacity_mut());
+    }
+    settled.append(&mut items);
+    settled
+}
+
+#[cfg(target_os = "linux")]
+fn ask_for_huge_pages<T>(room: &mut [MaybeUninit<T>]) {
+    let page = rustix::param::page_size();
+    let room = room.as_mut_ptr_range();
+    let (start, end) = (room.start.addr().next_multiple_of(page), room.end.addr() / page * page);
+    // SAFETY: the pages lie within the room, which is borrowed. The advice changes how they are mapped, never what they hold; where
+    // it cannot be followed nothing is lost.
+    let _ = unsafe {
+        rustix::mm::madvise(
+            room.start.with_addr(start).cast(),
+            end.saturating_sub(start),
+            rustix::mm::Advice::LinuxHugepage,
+        )
+    };
+}
+
+#[cfg(not(target_os = "linux"))]
+fn ask_for_huge_pages<T>(_: &mut [MaybeUninit<T>]) {}
+
+#[cfg(test)]
+mod tests {
+    use super::{HUGE_BYTES_MIN, settled};
+
+    /// Items come over whole, few or many, whatever their size, and take no more room than they need.
+    #[test]
+    fn settled_items_are_the_same() {
+        for count in [0, 1, HUGE_BYTES_MIN / 12 - 1, HUGE_BYTES_MIN / 12 + 1] {
+            let mut items = Vec::with_capacity(2 * count + 7);
+            items.extend((0..count as u32).map(|i| [i, !i, i * 3]));
+            let expected = items.clone();
+            let same = settled(items);
+            assert!(same == expected, "{count} items");
+            assert_eq!(same.capacity(), count);
+        }
+    }
 }
