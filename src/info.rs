@@ -144,8 +144,8 @@ fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions, .. }: Rea
         hierarchy: HierarchyFacts { nodes, blocks, bytes, sah_cost, build_seconds },
         isa: Isa::detect().name(),
         settings,
-        notes,
-        substitutions,
+        notes: notes.iter().map(ToString::to_string).collect(),
+        substitutions: substitutions.iter().map(ToString::to_string).collect(),
     }
 }
 

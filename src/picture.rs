@@ -5,6 +5,7 @@ use crate::kept::{Kept, difference};
 use crate::merge::film_of;
 use crate::report::Report;
 use anyhow::bail;
+use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -69,9 +70,9 @@ pub struct Ready {
     /// Those that there are already.
     pub base: Option<Arc<Kept>>,
     /// What the scene's author should know.
-    pub notes: Vec<String>,
+    pub notes: Vec<Note>,
     /// What was replaced or left out, if that was allowed.
-    pub substitutions: Vec<String>,
+    pub substitutions: Vec<Note>,
     /// See [`Picture::replay`].
     pub replay: String,
 }
@@ -79,9 +80,24 @@ pub struct Ready {
 impl Ready {
     /// Tells of replacements and of what has no effect.
     pub fn tell(&self, report: &mut Report) {
-        self.substitutions.iter().for_each(|text| report.substituted(text));
-        self.notes.iter().for_each(|note| report.note(note));
+        gathered(&self.substitutions).iter().for_each(|text| report.substituted(text));
+        gathered(&self.notes).iter().for_each(|note| report.note(note));
     }
+}
+
+/// What is said of thousands of objects, once, with the first of its places; `tilecast info` lists all.
+fn gathered(notes: &[Note]) -> Vec<String> {
+    let mut times = HashMap::new();
+    notes.iter().for_each(|note| *times.entry(note.text.as_str()).or_insert(0) += 1);
+    let mut gathered = Vec::new();
+    for note in notes {
+        match times.remove(note.text.as_str()) {
+            Some(1) => gathered.push(note.to_string()),
+            Some(count) => gathered.push(format!("{note} (and the same {} times more)", count - 1)),
+            None => {}
+        }
+    }
+    gathered
 }
 
 impl Picture {
@@ -115,8 +131,6 @@ impl Picture {
             (Some(base), Some(path)) => missing(base, path, &blobs, &settings)?,
             _ => samples,
         };
-        let told = |notes: &[Note]| notes.iter().map(ToString::to_string).collect();
-        let (notes, substitutions) = (told(&notes), told(&substitutions));
         let base = base.map(Arc::new);
         Ok((scene, Ready { blobs, settings, samples, base, notes, substitutions, replay: self.replay.clone() }))
     }

@@ -133,6 +133,21 @@ fn what_is_not_supported_is_an_error_or_listed() {
     assert_eq!(folder.tilecast(["info", "odd.xml"]).code, Some(1));
 }
 
+/// What holds for every shape is said once, with how often; `info` has each.
+#[test]
+fn what_is_said_of_many_shapes_is_said_once() {
+    let folder = Folder::new();
+    folder.write("flat.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 2 4\n");
+    let shape = "<shape type=\"obj\"><string name=\"filename\" value=\"flat.obj\"/></shape>\n";
+    let text = format!("<scene version=\"3.0.0\">\n<emitter type=\"constant\"/>\n{}</scene>", shape.repeat(300));
+    folder.write("many.xml", text);
+    let said = folder.tilecast(["render", "many.xml"].iter().chain(&SMALL)).stderr;
+    assert_eq!(said.matches("degenerate").count(), 1, "{said}");
+    assert!(said.contains("flat.obj: 1 degenerate triangles") && said.contains("299 times more"), "{said}");
+    let facts = folder.tilecast(["info", "many.xml", "--json"]).events();
+    assert_eq!(facts[0]["notes"].as_array().map(Vec::len), Some(300));
+}
+
 #[test]
 fn a_signal_ends_a_render_without_a_file() {
     for name in ["INT", "TERM"] {

@@ -51,17 +51,6 @@ impl Place {
         Self { file: file.into(), line: None }
     }
 
-    /// The bytes `range` of a file's text.
-    pub fn in_text(file: impl Into<String>, text: &str, range: Range<usize>) -> Self {
-        let start = floor_boundary(text, range.start);
-        let before = &text[..start];
-        let line_start = before.rfind('\n').map_or(0, |i| i + 1);
-        let number = before.bytes().filter(|&b| b == b'\n').count() + 1;
-        let line_end = text[start..].find('\n').map_or(text.len(), |i| start + i);
-        let line = &text[line_start..line_end];
-        Self { file: file.into(), line: Some(Line::new(number, line, start - line_start, range.len())) }
-    }
-
     /// Line `number` (from 1) of a file, which reads `text`.
     pub fn on_line(file: impl Into<String>, number: usize, text: &str) -> Self {
         let indent = text.len() - text.trim_start().len();
@@ -71,6 +60,34 @@ impl Place {
     /// The file's name and line, for notes.
     pub fn file_and_line(&self) -> (&str, Option<usize>) {
         (&self.file, self.line.as_ref().map(|line| line.number))
+    }
+}
+
+/// The text of a file and where its lines are: scenes of many thousand objects ask for the place of each.
+#[derive(Debug)]
+pub(crate) struct SourceText {
+    /// The file, named as the user would open it.
+    name: String,
+    text: String,
+    /// Ascending; the first is 0.
+    line_starts: Vec<usize>,
+}
+
+impl SourceText {
+    pub fn new(name: impl Into<String>, text: impl Into<String>) -> Self {
+        let text = text.into();
+        let line_starts = std::iter::once(0).chain(text.match_indices('\n').map(|(i, _)| i + 1)).collect();
+        Self { name: name.into(), text, line_starts }
+    }
+
+    /// Where the bytes `range` are.
+    pub fn place(&self, range: Range<usize>) -> Place {
+        let at = floor_boundary(&self.text, range.start);
+        let number = self.line_starts.partition_point(|&start| start <= at);
+        let start = self.line_starts[number - 1];
+        let end = self.line_starts.get(number).map_or(self.text.len(), |next| next - 1);
+        let line = Line::new(number, &self.text[start..end], at - start, range.len());
+        Place { file: self.name.clone(), line: Some(line) }
     }
 }
 
@@ -221,16 +238,25 @@ mod tests {
     #[test]
     fn a_place_counts_lines_and_characters_from_one() {
         let text = "one\nzwölf drei\nend";
-        let place = Place::in_text("a.xml", text, 11..15);
+        let place = SourceText::new("a.xml", text).place(11..15);
         assert_eq!(place.to_string(), "a.xml:2:7");
         let line = place.line.unwrap();
         assert_eq!(&line.text[line.marked], "drei");
     }
 
     #[test]
+    fn every_place_has_a_line() {
+        let text = SourceText::new("a.xml", "ab\n\ncd\n");
+        let seen: Vec<String> = [0, 1, 2, 3, 4, 5, 6, 7, 99].map(|at| text.place(at..at).to_string()).into();
+        let expected = ["1:1", "1:2", "1:3", "2:1", "3:1", "3:2", "3:3", "4:1", "4:1"];
+        assert_eq!(seen, expected.map(|at| format!("a.xml:{at}")));
+        assert_eq!(SourceText::new("a.xml", "").place(0..5).to_string(), "a.xml:1:1");
+    }
+
+    #[test]
     fn a_long_line_is_clipped_around_the_fault() {
         let text = format!("{}FAULT{}", "ä".repeat(1000), "b".repeat(1000));
-        let line = Place::in_text("a.xml", &text, 2000..2005).line.unwrap();
+        let line = SourceText::new("a.xml", text).place(2000..2005).line.unwrap();
         assert_eq!(line.column, 1001);
         assert_eq!(&line.text[line.marked], "FAULT");
         assert!(line.text.len() <= SHOWN_BEFORE + SHOWN_BEHIND);
@@ -238,7 +264,8 @@ mod tests {
 
     #[test]
     fn the_report_shows_file_line_and_text() {
-        let error = LoadError::at(Place::in_text("a.xml", "x\n<bsdf type='difuse'/>\n", 13..19), "no such thing");
+        let place = SourceText::new("a.xml", "x\n<bsdf type='difuse'/>\n").place(13..19);
+        let error = LoadError::at(place, "no such thing");
         let handler = miette::GraphicalReportHandler::new_themed(miette::GraphicalTheme::none());
         let mut shown = String::new();
         handler.render_report(&mut shown, &error).unwrap();

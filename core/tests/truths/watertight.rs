@@ -14,6 +14,9 @@ use tilecast_core::scene::{Geometry as Shape, Mesh, MeshId};
 use tilecast_core::surface::Surface;
 use tilecast_core::world::World;
 
+/// The sine of an angle to a plane that f32 may get wrong: a few roundings of a direction's and a normal's.
+const TANGENT: f32 = 8.0 * f32::EPSILON;
+
 /// What went wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Faults {
@@ -72,6 +75,8 @@ fn follow<L: Lanes>(lanes: L, geometry: &Geometry, surface: &Surface, outwards: 
     for (k, inwards) in [(0, sided), (1, false)] {
         let direction = noise3(9 + k, i);
         let cosine = direction.dot(side);
+        // What lies in the plane but for rounding has no side: it may be mirrored to where it came from.
+        let inwards = inwards && cosine.abs() > TANGENT;
         let direction = if inwards && cosine < 0.0 { direction - 2.0 * cosine * side } else { direction };
         let ray = surface.ray(direction, f32::INFINITY);
         let met = geometry.closest(lanes, &ray);

@@ -2,7 +2,7 @@
 //!
 //! The tree knows where each piece stood in which file; it does not know which plugins or parameters exist.
 
-use crate::load::error::{LoadError, Place, Result};
+use crate::load::error::{LoadError, Place, Result, SourceText};
 use glam::{DMat4, DVec3};
 use std::collections::HashMap;
 use std::ops::Range;
@@ -21,18 +21,11 @@ pub(crate) const ROOT: ObjectId = ObjectId(0);
 /// A scene file with everything it includes.
 #[derive(Debug, Default)]
 pub(crate) struct Document {
-    pub files: Vec<SourceFile>,
+    pub files: Vec<SourceText>,
     pub objects: Vec<Object>,
     pub ids: HashMap<String, ObjectId>,
     /// Folders within the scene's folder in which meshes and images are looked for, in this order.
     pub search: Vec<PathBuf>,
-}
-
-#[derive(Debug)]
-pub(crate) struct SourceFile {
-    /// As the user would open it.
-    pub name: String,
-    pub text: String,
 }
 
 /// Bytes of one of [`Document::files`].
@@ -181,8 +174,7 @@ impl Document {
     }
 
     pub fn place(&self, span: &Span) -> Place {
-        let file = &self.files[span.file];
-        Place::in_text(file.name.as_str(), &file.text, span.range.clone())
+        self.files[span.file].place(span.range.clone())
     }
 
     pub fn error(&self, span: &Span, message: impl Into<String>) -> LoadError {

@@ -2,11 +2,11 @@
 //!
 //! Knows Mitsuba's grammar, none of its plugins. Reads no file but includes.
 
-use super::document::{Document, NESTING_MAX, Object, ObjectId, Property, ROOT, SourceFile, Span, TAGS, Tag, Value};
+use super::document::{Document, NESTING_MAX, Object, ObjectId, Property, ROOT, Span, TAGS, Tag, Value};
 use super::element::{Attribute, Element, Wrong, scalar};
 use super::substitute::Definitions;
 use super::{transform, upgrade, values};
-use crate::load::error::{LoadError, Place, Result, did_you_mean};
+use crate::load::error::{LoadError, Place, Result, SourceText, did_you_mean};
 use crate::load::folder::{Folder, TEXT_BYTES_MAX};
 use glam::DMat4;
 use std::collections::HashSet;
@@ -91,7 +91,7 @@ impl Reader<'_> {
             LoadError::at(place, format!("this is not well-formed XML: {}", e.to_string().trim_end_matches('.')))
         })?;
         let file = self.document.files.len();
-        self.document.files.push(SourceFile { name, text: text.clone() });
+        self.document.files.push(SourceText::new(name, text.as_str()));
         self.open.push(path.to_path_buf());
         let root = self.element(xml.root_element(), file)?;
         let old = self.version(&root)?;
@@ -381,5 +381,5 @@ fn place_of(name: &str, text: &str, at: roxmltree::TextPos) -> Place {
     let line = text[line_start..].lines().next().unwrap_or("");
     let offset: usize = line.chars().take((at.col as usize).saturating_sub(1)).map(char::len_utf8).sum();
     let start = line_start + offset;
-    Place::in_text(name, text, start..start + 1)
+    SourceText::new(name, text).place(start..start + 1)
 }
