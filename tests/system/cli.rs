@@ -145,7 +145,8 @@ fn what_is_said_of_many_shapes_is_said_once() {
     assert_eq!(said.matches("degenerate").count(), 1, "{said}");
     assert!(said.contains("flat.obj: 1 degenerate triangles") && said.contains("299 times more"), "{said}");
     let facts = folder.tilecast(["info", "many.xml", "--json"]).events();
-    assert_eq!(facts[0]["notes"].as_array().map(Vec::len), Some(300));
+    let each = facts[0]["notes"].as_array().expect("a list");
+    assert_eq!(each.iter().filter(|note| note.as_str().is_some_and(|text| text.contains("degenerate"))).count(), 300);
 }
 
 #[test]
