@@ -5,8 +5,8 @@
 //! an edge. A hit counts only where the ray passes the triangle's own box ([`triangle_bounds`]), and is no nearer than the entry
 //! into it; both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
 //!
-//! Whether a triangle lies ahead of the ray's origin is decided in f64 where f32 may be wrong: a ray that leaves a thin triangle starts
-//! nearer to its plane than t is known.
+//! Whether a triangle lies ahead of the ray's origin is decided in f64 where f32 may be wrong: a ray that leaves a thin triangle, or starts
+//! just before one, starts nearer to its plane than t is known.
 
 use super::node::Leaf;
 use super::simd::{Floats, Lanes};
@@ -62,6 +62,9 @@ const VERTEX_PAD: f32 = 2.0 / (1 << 24) as f32;
 /// What the numerator of t loses to rounding, relative to the cube of the triangle's size, if the ray starts on it: 6 · 138 units of
 /// 2^-24 in the worst case (coordinates up to one size along the ray and two across it, each operation rounded once).
 const DOUBT: f32 = 2048.0 / (1 << 24) as f32;
+/// A triangle whose double area, as the ray sees it, is at most this part of its size squared is thin: a t that seems to lie behind the
+/// origin may lie ahead. Of rays that leave a surface, one in twenty or so leaves one that looks thin.
+const THIN: f32 = 1.0 / 32.0;
 /// How far off its triangle a ray may start, relative to its coordinates: 35 units of 2^-24 ([`crate::surface::Surface::ray`]).
 const START: f32 = 64.0 / (1 << 24) as f32;
 
@@ -187,47 +190,83 @@ impl<'a> Blocks<'a> {
         let t = numerator.div(det).mul(L::X4::splat(lanes, self.scale));
         // A zero `det` makes t NaN or infinite; t_max may be infinite too, so it is named.
         let not_flat = det.lt(zero) | zero.lt(det);
+        let behind = inside & not_flat & t.le(zero);
+        let t = if behind == 0 {
+            t
+        } else {
+            let spread = |a: L::X4, b: L::X4, c: L::X4| a.max(b).max(c).sub(a.min(b).min(c));
+            let (x, y) = (spread(ax, bx, cx), spread(ay, by, cy));
+            let size = x.mul(x).add(y.mul(y)).mul(L::X4::splat(lanes, THIN));
+            let thin = behind & det.max(zero.sub(det)).le(size);
+            if thin == 0 { t } else { L::X4::load(lanes, &self.reconsidered(slabs, block, thin, t.store())) }
+        };
         let mask = inside & not_flat & zero.lt(t) & t.le(L::X4::splat(lanes, t_max));
         if mask == 0 {
             return None;
         }
-        let (mut mask, t, size) = in_own_box(lanes, slabs, block, mask, t, t_max);
-        let size = size.add(L::X4::splat(lanes, self.start));
+        let InOwnBox { mut mask, t, near, size } = in_own_box(lanes, slabs, block, mask, t, t_max);
+        let start = L::X4::splat(lanes, self.start);
+        let size = size.add(start);
         let bound = size.mul(size).mul(size).mul(L::X4::splat(lanes, DOUBT));
-        let mut doubtful = mask & numerator.max(zero.sub(numerator)).le(bound);
+        // What is entered farther off than the ray may have started lies ahead.
+        let begins_there = near.mul(L::X4::splat(lanes, self.direction.abs().max_element())).le(start);
+        let mut doubtful = mask & begins_there & numerator.max(zero.sub(numerator)).le(bound);
         while doubtful != 0 {
             let lane = doubtful.trailing_zeros() as usize & (BLOCK - 1);
             doubtful &= doubtful - 1;
-            if !is_ahead(slabs.origin, self.direction, block.triangle(lane)) {
+            if ahead(slabs.origin, self.direction, block.triangle(lane)).is_none() {
                 mask &= !(1 << lane);
             }
         }
         (mask != 0).then_some(Inside { mask, t, v, w, det })
     }
+
+    /// The t of these lanes, which f32 has at or behind the origin, as f64 has it where that is ahead, and no farther than the triangle.
+    #[cold]
+    #[inline(never)]
+    fn reconsidered(&self, slabs: &Slabs, block: &Block, mut lanes: u32, mut t: [f32; BLOCK]) -> [f32; BLOCK] {
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros() as usize & (BLOCK - 1);
+            lanes &= lanes - 1;
+            let corners = block.triangle(lane);
+            let farthest = corners.map(|corner| (corner - Vec3::from_array(slabs.origin)).abs().max_element());
+            let is_near =
+                |t: f32| t * self.direction.abs().max_element() <= farthest[0].max(farthest[1]).max(farthest[2]);
+            if let Some(real) = ahead(slabs.origin, self.direction, corners).filter(|&t| is_near(t)) {
+                t[lane] = real;
+            }
+        }
+        t
+    }
 }
 
-/// Whether the ray meets the triangle's plane ahead of its origin. Differences of f32 and their products are all but exact in f64, so
-/// that for slivers of up to 1 : 10^8 this is right wherever the origin is off the plane by more than a position's rounding.
+/// The t, above 0, at which the ray meets the triangle's plane if that is ahead of its origin. Differences of f32 and their products are
+/// all but exact in f64, so that for slivers of up to 1 : 10^8 this is right wherever the origin is off the plane by more than a
+/// position's rounding.
 #[cold]
 #[inline(never)]
-fn is_ahead(origin: [f32; 3], direction: Vec3, corners: [Vec3; 3]) -> bool {
+fn ahead(origin: [f32; 3], direction: Vec3, corners: [Vec3; 3]) -> Option<f32> {
     let [a, b, c] = corners.map(Vec3::as_dvec3);
     let normal = (b - a).cross(c - a);
     let (away, towards) = (normal.dot(a - Vec3::from_array(origin).as_dvec3()), normal.dot(direction.as_dvec3()));
-    (away > 0.0 && towards > 0.0) || (away < 0.0 && towards < 0.0)
+    ((away > 0.0 && towards > 0.0) || (away < 0.0 && towards < 0.0))
+        .then(|| ((away / towards) as f32).max(f32::MIN_POSITIVE))
 }
 
-/// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it; gives the boxes' longest sides, too. This is
-/// rare: about once a ray.
-#[inline(always)]
-fn in_own_box<L: Lanes>(
-    lanes: L,
-    slabs: &Slabs,
-    block: &Block,
+/// Triangles whose own boxes the ray passes.
+struct InOwnBox<V> {
     mask: u32,
-    t: L::X4,
-    t_max: f32,
-) -> (u32, L::X4, L::X4) {
+    /// Not before the entry.
+    t: V,
+    /// The entry, at least 0.
+    near: V,
+    /// The boxes' longest sides.
+    size: V,
+}
+
+/// Keeps the lanes whose own box the ray passes, and moves t up to the entry into it. This is rare: about once a ray.
+#[inline(always)]
+fn in_own_box<L: Lanes>(lanes: L, slabs: &Slabs, block: &Block, mask: u32, t: L::X4, t_max: f32) -> InOwnBox<L::X4> {
     let splat = |x: f32| L::X4::splat(lanes, x);
     let tight = |axis: usize| {
         let [a, b, c] = &block.rows[axis];
@@ -244,7 +283,7 @@ fn in_own_box<L: Lanes>(
     let padded = [apart(sides[0]), apart(sides[1]), apart(sides[2])];
     let (near, far) = slabs.spans(lanes, |axis, side| padded[axis][side], f32::INFINITY);
     let t = t.max(near);
-    (mask & near.le(far) & t.le(splat(t_max)), t, longest)
+    InOwnBox { mask: mask & near.le(far) & t.le(splat(t_max)), t, near, size: longest }
 }
 
 impl<L: Lanes> Leaves<L> for Blocks<'_> {
