@@ -23,16 +23,19 @@ pub const BLOCK: usize = 4;
 pub struct Block {
     /// `rows[axis][vertex][lane]`: the ray's choice of axes is a choice of rows.
     rows: [[[f32; BLOCK]; 3]; 3],
-    /// The triangles' own numbers.
+    /// The triangles' own numbers, with [`SLIVER`] set in those of slivers.
     ids: [u32; BLOCK],
 }
+
+/// Two bits that no number has: as a float, an id with them is negative and finite.
+const SLIVER: u32 = 0b11 << 30;
 
 impl Block {
     /// Of at most four triangles, each its number and vertices.
     pub fn new(triangles: impl Iterator<Item = (u32, [Vec3; 3])>) -> Self {
         let mut block = Block { rows: [[[f32::NAN; BLOCK]; 3]; 3], ids: [u32::MAX; BLOCK] };
         for (lane, (id, vertices)) in triangles.take(BLOCK).enumerate() {
-            block.ids[lane] = id;
+            block.ids[lane] = if is_sliver(vertices) { id | SLIVER } else { id };
             for (axis, rows) in block.rows.iter_mut().enumerate() {
                 for (row, vertex) in rows.iter_mut().zip(vertices) {
                     row[lane] = vertex[axis];
@@ -47,10 +50,22 @@ impl Block {
         [0, 1, 2].map(|vertex| Vec3::from_array([0, 1, 2].map(|axis| self.rows[axis][vertex][lane])))
     }
 
-    /// The numbers of the block's triangles.
+    /// The number of a lane's triangle.
+    #[inline(always)]
+    fn id(&self, lane: usize) -> u32 {
+        self.ids[lane] & !SLIVER
+    }
+
+    /// The lanes of slivers.
+    #[inline(always)]
+    fn slivers<L: Lanes>(&self, lanes: L) -> u32 {
+        L::X4::load(lanes, &self.ids.map(f32::from_bits)).lt(L::X4::splat(lanes, 0.0))
+    }
+
+    /// The numbers of the block's triangles; [`u32::MAX`] where there is none.
     #[cfg(test)]
     pub fn ids(&self) -> [u32; BLOCK] {
-        self.ids
+        self.ids.map(|id| if id == u32::MAX { id } else { id & !SLIVER })
     }
 }
 
@@ -62,11 +77,17 @@ const VERTEX_PAD: f32 = 2.0 / (1 << 24) as f32;
 /// What the numerator of t loses to rounding, relative to the cube of the triangle's size, if the ray starts on it: 6 · 138 units of
 /// 2^-24 in the worst case (coordinates up to one size along the ray and two across it, each operation rounded once).
 const DOUBT: f32 = 2048.0 / (1 << 24) as f32;
-/// A triangle whose double area, as the ray sees it, is at most this part of its size squared is thin: a t that seems to lie behind the
-/// origin may lie ahead. Of rays that leave a surface, one in twenty or so leaves one that looks thin.
+/// A triangle whose height is at most this part of its longest side is a sliver: a t that seems to lie behind the origin may lie ahead.
 const THIN: f32 = 1.0 / 32.0;
 /// How far off its triangle a ray may start, relative to its coordinates: 35 units of 2^-24 ([`crate::surface::Surface::ray`]).
 const START: f32 = 64.0 / (1 << 24) as f32;
+
+/// Whether a triangle is so thin that f32 may not know on which side of it a ray starts.
+fn is_sliver([a, b, c]: [Vec3; 3]) -> bool {
+    let [a, b, c] = [a, b, c].map(Vec3::as_dvec3);
+    let longest2 = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+    (b - a).cross(c - a).length() <= f64::from(THIN) * longest2
+}
 
 /// The box of a triangle, padded so that a ray which passes the triangle up to rounding passes the box.
 pub fn triangle_bounds(vertices: [Vec3; 3]) -> Aabb {
@@ -190,54 +211,49 @@ impl<'a> Blocks<'a> {
         let t = numerator.div(det).mul(L::X4::splat(lanes, self.scale));
         // A zero `det` makes t NaN or infinite; t_max may be infinite too, so it is named.
         let not_flat = det.lt(zero) | zero.lt(det);
-        let behind = inside & not_flat & t.le(zero);
+        let behind = inside & not_flat & block.slivers(lanes) & t.le(zero);
         let t = if behind == 0 {
             t
         } else {
-            let spread = |a: L::X4, b: L::X4, c: L::X4| a.max(b).max(c).sub(a.min(b).min(c));
-            let (x, y) = (spread(ax, bx, cx), spread(ay, by, cy));
-            let size = x.mul(x).add(y.mul(y)).mul(L::X4::splat(lanes, THIN));
-            let thin = behind & det.max(zero.sub(det)).le(size);
-            if thin == 0 { t } else { L::X4::load(lanes, &self.reconsidered(slabs, block, thin, t.store())) }
+            L::X4::load(lanes, &reconsidered(slabs.origin, self.direction, block, behind, t.store()))
         };
         let mask = inside & not_flat & zero.lt(t) & t.le(L::X4::splat(lanes, t_max));
         if mask == 0 {
             return None;
         }
         let InOwnBox { mut mask, t, near, size } = in_own_box(lanes, slabs, block, mask, t, t_max);
-        let start = L::X4::splat(lanes, self.start);
-        let size = size.add(start);
+        let size = size.add(L::X4::splat(lanes, self.start));
         let bound = size.mul(size).mul(size).mul(L::X4::splat(lanes, DOUBT));
-        // What is entered farther off than the ray may have started lies ahead.
-        let begins_there = near.mul(L::X4::splat(lanes, self.direction.abs().max_element())).le(start);
-        let mut doubtful = mask & begins_there & numerator.max(zero.sub(numerator)).le(bound);
+        let mut doubtful = mask & numerator.max(zero.sub(numerator)).le(bound);
         while doubtful != 0 {
             let lane = doubtful.trailing_zeros() as usize & (BLOCK - 1);
             doubtful &= doubtful - 1;
-            if ahead(slabs.origin, self.direction, block.triangle(lane)).is_none() {
+            // What is entered farther off than the ray may have started lies ahead.
+            let begins_there = near.store()[lane] * self.direction.abs().max_element() <= self.start;
+            if begins_there && ahead(slabs.origin, self.direction, block.triangle(lane)).is_none() {
                 mask &= !(1 << lane);
             }
         }
         (mask != 0).then_some(Inside { mask, t, v, w, det })
     }
+}
 
-    /// The t of these lanes, which f32 has at or behind the origin, as f64 has it where that is ahead, and no farther than the triangle.
-    #[cold]
-    #[inline(never)]
-    fn reconsidered(&self, slabs: &Slabs, block: &Block, mut lanes: u32, mut t: [f32; BLOCK]) -> [f32; BLOCK] {
-        while lanes != 0 {
-            let lane = lanes.trailing_zeros() as usize & (BLOCK - 1);
-            lanes &= lanes - 1;
-            let corners = block.triangle(lane);
-            let farthest = corners.map(|corner| (corner - Vec3::from_array(slabs.origin)).abs().max_element());
-            let is_near =
-                |t: f32| t * self.direction.abs().max_element() <= farthest[0].max(farthest[1]).max(farthest[2]);
-            if let Some(real) = ahead(slabs.origin, self.direction, corners).filter(|&t| is_near(t)) {
-                t[lane] = real;
-            }
+/// The t of these lanes, which f32 has at or behind the origin, as f64 has it where that is ahead, and no farther than the triangle. It takes
+/// what it needs of the ray by value, so that the ray can stay in registers.
+#[cold]
+#[inline(never)]
+fn reconsidered(origin: [f32; 3], direction: Vec3, block: &Block, mut lanes: u32, mut t: [f32; BLOCK]) -> [f32; BLOCK] {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize & (BLOCK - 1);
+        lanes &= lanes - 1;
+        let corners = block.triangle(lane);
+        let farthest = corners.map(|corner| (corner - Vec3::from_array(origin)).abs().max_element());
+        let is_near = |t: f32| t * direction.abs().max_element() <= farthest[0].max(farthest[1]).max(farthest[2]);
+        if let Some(real) = ahead(origin, direction, corners).filter(|&t| is_near(t)) {
+            t[lane] = real;
         }
-        t
     }
+    t
 }
 
 /// The t, above 0, at which the ray meets the triangle's plane if that is ahead of its origin. Differences of f32 and their products are
@@ -304,7 +320,7 @@ impl<L: Lanes> Leaves<L> for Blocks<'_> {
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize & (BLOCK - 1);
                 mask &= mask - 1;
-                let triangle = block.ids[lane];
+                let triangle = block.id(lane);
                 let best = &mut self.nearest;
                 if t[lane] < best.t || (t[lane] == best.t && triangle < best.triangle) {
                     *best = Nearest { t: t[lane], v: v[lane], w: w[lane], det: det[lane], triangle };
