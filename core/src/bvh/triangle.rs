@@ -27,7 +27,7 @@ pub struct Block {
     ids: [u32; BLOCK],
 }
 
-/// Two bits that no number has: as a float, an id with them is negative and finite.
+/// Two bits that no number has: as a float, an id with them is negative and finite, which an empty lane's is not.
 const SLIVER: u32 = 0b11 << 30;
 
 impl Block {

@@ -80,6 +80,14 @@ impl SourceText {
         Self { name: name.into(), text, line_starts }
     }
 
+    /// Line and column, in characters, from 1.
+    pub fn at(&self, line: usize, column: usize) -> Place {
+        let start = self.line_starts[line.clamp(1, self.line_starts.len()) - 1];
+        let before = self.text[start..].chars().take(column.saturating_sub(1));
+        let at = start + before.map(char::len_utf8).sum::<usize>();
+        self.place(at..at + 1)
+    }
+
     /// Where the bytes `range` are.
     pub fn place(&self, range: Range<usize>) -> Place {
         let at = floor_boundary(&self.text, range.start);
@@ -250,6 +258,7 @@ mod tests {
         let seen: Vec<String> = [0, 1, 2, 3, 4, 5, 6, 7, 99].map(|at| text.place(at..at).to_string()).into();
         let expected = ["1:1", "1:2", "1:3", "2:1", "3:1", "3:2", "3:3", "4:1", "4:1"];
         assert_eq!(seen, expected.map(|at| format!("a.xml:{at}")));
+        assert_eq!(text.at(3, 2), text.place(5..6));
         assert_eq!(SourceText::new("a.xml", "").place(0..5).to_string(), "a.xml:1:1");
     }
 

@@ -87,7 +87,7 @@ impl Reader<'_> {
         })?;
         let options = roxmltree::ParsingOptions { nodes_limit: NODES_MAX, ..Default::default() };
         let xml = roxmltree::Document::parse_with_options(&text, options).map_err(|e| {
-            let place = place_of(&name, &text, e.pos());
+            let place = SourceText::new(name.as_str(), text.as_str()).at(e.pos().row as usize, e.pos().col as usize);
             LoadError::at(place, format!("this is not well-formed XML: {}", e.to_string().trim_end_matches('.')))
         })?;
         let file = self.document.files.len();
@@ -373,13 +373,4 @@ impl Reader<'_> {
         self.document.search.insert(0, path);
         Ok(())
     }
-}
-
-fn place_of(name: &str, text: &str, at: roxmltree::TextPos) -> Place {
-    let number = at.row as usize;
-    let line_start = text.match_indices('\n').nth(number.wrapping_sub(2)).map_or(0, |(i, _)| i + 1);
-    let line = text[line_start..].lines().next().unwrap_or("");
-    let offset: usize = line.chars().take((at.col as usize).saturating_sub(1)).map(char::len_utf8).sum();
-    let start = line_start + offset;
-    SourceText::new(name, text).place(start..start + 1)
 }
