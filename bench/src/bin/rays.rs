@@ -20,7 +20,8 @@ fn main() -> Result<(), Failure> {
             "--hits" => hits = Some(args.next().ok_or("--hits needs a file")?),
             "--isa" => {
                 let name = args.next().ok_or("--isa needs a name")?;
-                isas = vec![Isa::from_name(&name).ok_or("no such path")?];
+                let isa = Isa::from_name(&name).filter(|isa| isa.is_available());
+                isas = vec![isa.ok_or_else(|| format!("this machine has no path {name}"))?];
             }
             _ => files.push(arg),
         }

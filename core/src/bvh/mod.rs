@@ -25,7 +25,8 @@ pub use traverse::{Leaves, Ray, Slabs};
 pub use triangle::triangle_bounds;
 
 use glam::Vec3;
-use simd::{Kernel, Lanes, settled};
+use rayon::prelude::*;
+use simd::{Kernel, Lanes, with_room};
 use triangle::{BLOCK, Block, Blocks};
 
 /// Where a ray meets a triangle.
@@ -56,19 +57,21 @@ impl TriangleBvh {
     ///
     /// `vertices` gives the three vertices of a triangle, finite and not all on one line, and is asked twice for each.
     /// The same triangles give the same tree on any number of threads. At most 2^28 triangles.
-    pub fn build(count: u32, vertices: impl Fn(u32) -> [Vec3; 3]) -> Self {
-        let boxes: Vec<Aabb> = (0..count).map(|i| triangle_bounds(vertices(i))).collect();
+    pub fn build(count: u32, vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Self {
+        let boxes: Vec<Aabb> = (0..count).into_par_iter().map(|i| triangle_bounds(vertices(i))).collect();
         let Built { mut bvh, order } = Built::new(&boxes, LEAF_COST);
         drop(boxes);
-        let mut blocks = Vec::with_capacity(order.len() / 2);
+        // The triangles of each block, in the order of the nodes.
+        let mut runs: Vec<&[u32]> = Vec::with_capacity(order.len() / 2);
         bvh.map_leaves(|leaf| {
-            let first = blocks.len();
-            let triangles = &order[leaf.first as usize..][..leaf.count as usize];
-            let block = |chunk: &[u32]| Block::new(chunk.iter().map(|&i| (i, vertices(i))));
-            blocks.extend(triangles.chunks(BLOCK).map(block));
-            Leaf { first: first as u32, count: (blocks.len() - first) as u32 }
+            let first = runs.len();
+            runs.extend(order[leaf.first as usize..][..leaf.count as usize].chunks(BLOCK));
+            Leaf { first: first as u32, count: (runs.len() - first) as u32 }
         });
-        Self { bvh, blocks: settled(blocks) }
+        let mut blocks = with_room(runs.len());
+        let block = |run: &&[u32]| Block::new(run.iter().map(|&i| (i, vertices(i))));
+        runs.par_iter().map(block).collect_into_vec(&mut blocks);
+        Self { bvh, blocks }
     }
 
     /// The nearest hit with `0 < t <= ray.t_max`, on either side of a triangle.

@@ -129,13 +129,19 @@ fn prefetch_address(address: *const u8) {
 /// From here on huge pages are asked for: smaller tables have their addresses in the processor's own table of pages anyway.
 const HUGE_BYTES_MIN: usize = 8 << 20;
 
-/// The same items in memory of just their size, in huge pages if they take so much and the system has some to give: rays go
-/// everywhere in a large table, and where a small page lies is looked up in memory, too.
-pub fn settled<T>(mut items: Vec<T>) -> Vec<T> {
-    let mut settled = Vec::with_capacity(items.len());
-    if size_of_val(items.as_slice()) >= HUGE_BYTES_MIN {
-        ask_for_huge_pages(settled.spare_capacity_mut());
+/// Room for so many items, in huge pages if they take so much and the system has some to give: rays go everywhere in a large table, and
+/// where a small page lies is looked up in memory, too.
+pub fn with_room<T>(count: usize) -> Vec<T> {
+    let mut items = Vec::with_capacity(count);
+    if count.saturating_mul(size_of::<T>()) >= HUGE_BYTES_MIN {
+        ask_for_huge_pages(items.spare_capacity_mut());
     }
+    items
+}
+
+/// The same items in memory of just their size, as [`with_room`] has it.
+pub fn settled<T>(mut items: Vec<T>) -> Vec<T> {
+    let mut settled = with_room(items.len());
     settled.append(&mut items);
     settled
 }

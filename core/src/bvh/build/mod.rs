@@ -1,0 +1,55 @@
+//! From boxes to a hierarchy: a binary tree, collapsed to eight children a node.
+//!
+//! Of many boxes, neighbours are put together to parts of some ten thousand ([`cut`]); the binary tree of each part is built by itself, in
+//! a processor's cache and beside others, and its upper nodes are built anew with those of all others ([`parts`]).
+
+mod binary;
+mod collapse;
+mod cut;
+mod parts;
+#[cfg(test)]
+mod tests;
+
+use super::Aabb;
+use super::node::{Bvh8, Node};
+use binary::balanced_tree;
+use collapse::Collapse;
+
+/// What a leaf costs and may hold.
+#[derive(Clone, Copy, Debug)]
+pub struct LeafCost {
+    /// The most primitives of a leaf.
+    pub max_count: u32,
+    /// How many primitives are tested at once.
+    pub block: u32,
+    /// What such a test costs, in visits of a node.
+    pub block_cost: f32,
+}
+
+/// A hierarchy whose leaves are runs of `order`.
+pub struct Built {
+    /// The nodes.
+    pub bvh: Bvh8,
+    /// Indices into the boxes it was built from.
+    pub order: Vec<u32>,
+}
+
+impl Built {
+    /// Builds the hierarchy over finite `boxes`, fewer than 2^31: the same tree for the same boxes on any number of threads.
+    pub fn new(boxes: &[Aabb], leaf: LeafCost) -> Built {
+        if boxes.is_empty() {
+            let nodes = vec![Node::EMPTY];
+            return Built { bvh: Bvh8 { nodes }, order: Vec::new() };
+        }
+        let all = boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
+        if (all.half_area() * boxes.len() as f32).is_finite() {
+            let built = Collapse::run(parts::binary_tree(boxes, parts::BOXES_MAX), leaf);
+            if built.bvh.stack_need() <= Bvh8::STACK {
+                return built;
+            }
+        }
+        // Boxes whose sizes grow geometrically make chains, and areas beyond f32 cannot be compared. A balanced tree is
+        // worse to trace and never deep.
+        Collapse::run(balanced_tree(boxes), leaf)
+    }
+}
