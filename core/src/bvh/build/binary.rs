@@ -5,6 +5,7 @@
 use super::super::Aabb;
 use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
+use std::ops::Range;
 
 /// What hangs below an inner node of the binary tree: another one, or a box. The highest bit says which.
 #[derive(Clone, Copy)]
@@ -51,12 +52,14 @@ pub struct BinaryTree<'a> {
     /// Parents before children.
     pub inner: Vec<Inner>,
     pub root: Twig,
+    /// Where in `inner` parts begin: nodes that hang from a part's nodes are the part's own. Those before the first part join the parts.
+    pub starts: Vec<usize>,
 }
 
 impl<'a> BinaryTree<'a> {
     /// A tree that hangs from nothing yet.
     pub fn over(boxes: &'a [Aabb]) -> Self {
-        Self { boxes, inner: Vec::with_capacity(boxes.len()), root: Twig::inner(0) }
+        Self { boxes, inner: Vec::with_capacity(boxes.len()), root: Twig::inner(0), starts: Vec::new() }
     }
 
     /// Hangs a twig from an inner node, left (0) or right (1), or from nothing: the root.
@@ -75,12 +78,23 @@ impl<'a> BinaryTree<'a> {
         index
     }
 
-    /// Counts what is below, when all is hung.
-    pub fn counted(mut self) -> Self {
-        for index in (0..self.inner.len()).rev() {
+    /// Counts what is below the first nodes, when all is hung and the others are counted.
+    pub fn counted(mut self, nodes: usize) -> Self {
+        for index in (0..nodes).rev() {
             self.inner[index].count = self.inner[index].below.map(|twig| self.count(twig)).iter().sum();
         }
         self
+    }
+
+    /// How many nodes join the parts.
+    pub fn top_nodes(&self) -> usize {
+        self.starts.first().copied().unwrap_or(self.inner.len())
+    }
+
+    /// The nodes of each part.
+    pub fn parts(&self) -> impl Iterator<Item = Range<usize>> + '_ {
+        let ends = self.starts.iter().skip(1).copied().chain([self.inner.len()]);
+        self.starts.iter().copied().zip(ends).map(|(start, end)| start..end)
     }
 
     pub fn bounds(&self, twig: Twig) -> Aabb {
@@ -127,7 +141,8 @@ fn parents_first<'a>(boxes: &'a [Aabb], from: &Bvh2) -> BinaryTree<'a> {
             open.extend([(node.first_index + 1, Some((inner, 1))), (node.first_index, Some((inner, 0)))]);
         }
     }
-    tree.counted()
+    let nodes = tree.inner.len();
+    tree.counted(nodes)
 }
 
 /// A tree of depth log2 of the boxes: halves by the centre along the longest axis.
@@ -150,5 +165,6 @@ pub fn balanced_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
         let inner = tree.grow(bounds, parent);
         open.extend([(start + middle, end, Some((inner, 1))), (start, start + middle, Some((inner, 0)))]);
     }
-    tree.counted()
+    let nodes = tree.inner.len();
+    tree.counted(nodes)
 }

@@ -7,9 +7,13 @@ use super::super::node::{Bvh8, Child, Leaf, Node, WIDTH};
 use super::super::simd::settled;
 use super::binary::{BinaryTree, Inner, Twig};
 use super::{Built, LeafCost};
+use rayon::prelude::*;
+
+/// The costs of what is below as at most one tree, two, …
+type Forests = [f32; WIDTH - 1];
 
 /// The least cost of two twigs as `trees` trees together, from the costs of each, and how many of them the left one gets.
-fn split([left, right]: &[[f32; WIDTH - 1]; 2], trees: usize) -> (f32, usize) {
+fn split([left, right]: &[Forests; 2], trees: usize) -> (f32, usize) {
     let mut best = (f32::INFINITY, 1);
     for of_left in 1..trees {
         let cost = left[of_left - 1] + right[trees - of_left - 1];
@@ -20,31 +24,116 @@ fn split([left, right]: &[[f32; WIDTH - 1]; 2], trees: usize) -> (f32, usize) {
     best
 }
 
-/// A binary tree with the costs of all ways to make a wide one of it.
+/// What was decided at an inner node.
+#[derive(Clone, Copy)]
+struct Choice {
+    /// What is below as one tree costs this.
+    cost: f32,
+    /// The sum of half areas of the boxes below.
+    content: f32,
+    /// For two to eight trees, three bits each, how many of them the left one gets; then for two to seven, whether they cost less than one;
+    /// then whether all of it is a leaf.
+    bits: u32,
+}
+
+impl Choice {
+    const NONE: Self = Self { cost: 0.0, content: 0.0, bits: 0 };
+    const LESS: usize = 3 * (WIDTH - 1);
+    const LEAF: usize = Self::LESS + WIDTH - 2;
+
+    /// Of `trees` trees, how many the left twig gets.
+    fn of_left(self, trees: usize) -> usize {
+        (self.bits >> (3 * (trees - 2)) & 7) as usize
+    }
+
+    /// Whether `trees` trees, fewer than eight, cost less than one.
+    fn is_opened(self, trees: usize) -> bool {
+        trees > 1 && self.bits >> (Self::LESS + trees - 2) & 1 != 0
+    }
+
+    fn is_leaf(self) -> bool {
+        self.bits >> Self::LEAF & 1 != 0
+    }
+}
+
+/// A binary tree, and how to make a wide one of it.
 pub struct Collapse<'a> {
     tree: BinaryTree<'a>,
-    /// Of the inner nodes.
-    cost: Vec<[f32; WIDTH - 1]>,
-    /// The sum of half areas of the boxes below each inner node.
-    content: Vec<f32>,
     leaf: LeafCost,
+    /// Of the inner nodes.
+    choices: Vec<Choice>,
 }
 
 impl<'a> Collapse<'a> {
     /// The wide tree.
     pub fn run(tree: BinaryTree<'a>, leaf: LeafCost) -> Built {
-        let cost = vec![[0.0; WIDTH - 1]; tree.inner.len()];
-        let content = vec![0.0; tree.inner.len()];
-        let mut collapse = Collapse { tree, cost, content, leaf };
-        for index in (0..collapse.cost.len()).rev() {
-            collapse.cost[index] = collapse.forests(index);
-            let below = collapse.tree.inner[index].below;
-            collapse.content[index] = below.map(|twig| collapse.content(twig)).iter().sum();
+        let mut choices = vec![Choice::NONE; tree.inner.len()];
+        let top_nodes = tree.top_nodes();
+        let (top, mut rest) = choices.split_at_mut(top_nodes);
+        let mut parts = Vec::new();
+        for part in tree.parts() {
+            let (choices, others) = rest.split_at_mut(part.len());
+            parts.push((part.start, choices));
+            rest = others;
         }
-        let mut built = collapse.emit();
+        let collapse = Collapse { tree, leaf, choices: Vec::new() };
+        // What hangs from the top is all that matters of the forests of a part.
+        let mut roots: Vec<usize> = collapse.tree.inner[..top_nodes]
+            .iter()
+            .flat_map(|node| node.below)
+            .filter_map(|twig| twig.index().err())
+            .collect();
+        roots.sort_unstable();
+        let of_part = |(start, choices): (usize, &mut [Choice])| {
+            let forests = collapse.decide(start, choices, &[]);
+            let range = roots.partition_point(|&root| root < start)
+                ..roots.partition_point(|&root| root < start + choices.len());
+            let outside = |&root: &usize| (root, forests[root - start], choices[root - start].content);
+            roots[range].iter().map(outside).collect::<Vec<_>>()
+        };
+        let outside: Vec<_> = parts.into_par_iter().map(of_part).collect::<Vec<_>>().concat();
+        collapse.decide(0, top, &outside);
+        let mut built = Collapse { choices, ..collapse }.emit();
         // The tree is gone: there is room for a copy.
         built.bvh.nodes = settled(built.bvh.nodes);
         built
+    }
+
+    /// Decides at the inner nodes from `start` on, for which `choices` has room. Of nodes elsewhere that hang from these, `outside` has forests
+    /// and contents, in order. Gives the forests.
+    fn decide(&self, start: usize, choices: &mut [Choice], outside: &[(usize, Forests, f32)]) -> Vec<Forests> {
+        let mut forests = vec![[0.0; WIDTH - 1]; choices.len()];
+        for index in (0..choices.len()).rev() {
+            let Inner { bounds, below, .. } = &self.tree.inner[start + index];
+            let below = below.map(|twig| match twig.index() {
+                // A box is one tree, however many it may be.
+                Ok(leaf) => ([self.leaf_cost(twig); WIDTH - 1], self.tree.boxes[leaf as usize].half_area()),
+                Err(inner) if (start..start + choices.len()).contains(&inner) => {
+                    (forests[inner - start], choices[inner - start].content)
+                }
+                Err(inner) => {
+                    let at = outside.partition_point(|&(node, ..)| node < inner);
+                    (outside[at].1, outside[at].2)
+                }
+            });
+            let content = below[0].1 + below[1].1;
+            let below = below.map(|(forests, _)| forests);
+            let (as_node, of_left) = split(&below, WIDTH);
+            let (as_node, as_leaf) = (as_node + bounds.half_area(), self.leaf_cost(Twig::inner(start + index)));
+            let one = as_leaf.min(as_node);
+            let mut bits = (of_left as u32) << (3 * (WIDTH - 2));
+            let mut costs = [one; WIDTH - 1];
+            for trees in 2..WIDTH {
+                let (cost, of_left) = split(&below, trees);
+                costs[trees - 1] = costs[trees - 2].min(cost);
+                bits |= (of_left as u32) << (3 * (trees - 2));
+                bits |= u32::from(costs[trees - 1] != one) << (Choice::LESS + trees - 2);
+            }
+            let is_leaf = self.tree.inner[start + index].count <= self.leaf.max_count && as_leaf <= one;
+            bits |= u32::from(is_leaf) << Choice::LEAF;
+            (choices[index], forests[index]) = (Choice { cost: one, content, bits }, costs);
+        }
+        forests
     }
 
     fn leaf_cost(&self, twig: Twig) -> f32 {
@@ -56,46 +145,23 @@ impl<'a> Collapse<'a> {
         self.tree.bounds(twig).half_area() * blocks * self.leaf.block_cost
     }
 
-    /// The costs of what is below as at most one tree, two, …: a box is one tree, however many it may be.
-    fn costs(&self, twig: Twig) -> [f32; WIDTH - 1] {
-        twig.index().map_or_else(|inner| self.cost[inner], |_| [self.leaf_cost(twig); WIDTH - 1])
-    }
-
-    fn content(&self, twig: Twig) -> f32 {
-        twig.index().map_or_else(|inner| self.content[inner], |leaf| self.tree.boxes[leaf as usize].half_area())
-    }
-
-    fn forests(&self, index: usize) -> [f32; WIDTH - 1] {
-        let Inner { bounds, below, .. } = &self.tree.inner[index];
-        let below = below.map(|twig| self.costs(twig));
-        let as_node = split(&below, WIDTH).0 + bounds.half_area();
-        let mut cost = [self.leaf_cost(Twig::inner(index)).min(as_node); WIDTH - 1];
-        for trees in 2..WIDTH {
-            cost[trees - 1] = cost[trees - 2].min(split(&below, trees).0);
-        }
-        cost
-    }
-
     /// The roots of the forest of at most `trees` trees.
     fn roots(&self, twig: Twig, trees: usize, out: &mut Vec<Twig>) {
         match twig.index() {
-            Err(inner) if trees > 1 && self.cost[inner][trees - 1] != self.cost[inner][0] => {
-                self.roots_below(inner, trees, out);
-            }
+            Err(inner) if self.choices[inner].is_opened(trees) => self.roots_below(inner, trees, out),
             _ => out.push(twig),
         }
     }
 
     fn roots_below(&self, index: usize, trees: usize, out: &mut Vec<Twig>) {
         let [left, right] = self.tree.inner[index].below;
-        let of_left = split(&[self.costs(left), self.costs(right)], trees).1;
+        let of_left = self.choices[index].of_left(trees);
         self.roots(left, of_left, out);
         self.roots(right, trees - of_left, out);
     }
 
     fn is_leaf(&self, twig: Twig) -> bool {
-        let count = self.tree.count(twig);
-        count == 1 || count <= self.leaf.max_count && self.leaf_cost(twig) <= self.costs(twig)[0]
+        twig.index().map_or_else(|inner| self.choices[inner].is_leaf(), |_| true)
     }
 
     /// The chance that a ray which passes the box hits something in it, by the cost of finding out. An any-hit traversal
@@ -103,8 +169,11 @@ impl<'a> Collapse<'a> {
     /// of the surface, and half of what passes a primitive's box hits it.
     fn promise(&self, twig: Twig) -> f32 {
         let area = self.tree.bounds(twig).half_area();
-        let cost = if self.is_leaf(twig) { self.leaf_cost(twig) } else { self.costs(twig)[0] };
-        let density = 0.5 * self.content(twig) / area;
+        let (cost, content) = match twig.index() {
+            Ok(leaf) => (self.leaf_cost(twig), self.tree.boxes[leaf as usize].half_area()),
+            Err(inner) => (self.choices[inner].cost, self.choices[inner].content),
+        };
+        let density = 0.5 * content / area;
         density / (1.0 + density) * area / cost
     }
 

@@ -65,6 +65,7 @@ pub fn binary_tree(boxes: &[Aabb], most: usize) -> BinaryTree<'_> {
     // A part is gone as soon as it has its place.
     for Part { inner, trees } in parts {
         let first = tree.inner.len();
+        tree.starts.push(first);
         roots.extend(trees.iter().map(|(twig, _)| twig.after(first)));
         tree.inner
             .extend(inner.into_iter().map(|node| Inner { below: node.below.map(|twig| twig.after(first)), ..node }));
@@ -74,5 +75,5 @@ pub fn binary_tree(boxes: &[Aabb], most: usize) -> BinaryTree<'_> {
         node.below = node.below.map(root);
     }
     tree.root = root(top.root);
-    tree.counted()
+    tree.counted(top_nodes)
 }
