@@ -107,7 +107,14 @@ fn draw<B: DrawingBackend<ErrorType: 'static>>(
             .label(label)
             .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
     }
-    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK.mix(0.3)).draw()?;
+    // Where rising and where falling curves leave room.
+    let rises = curves.iter().any(|curve| curve.slope() > 0.0);
+    chart
+        .configure_series_labels()
+        .position(if rises { SeriesLabelPosition::UpperLeft } else { SeriesLabelPosition::UpperRight })
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK.mix(0.3))
+        .draw()?;
     Ok(area.present()?)
 }
 
