@@ -26,7 +26,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     settings.without.splitting |= off("splitting");
     settings.without.early_roulette |= off("early-roulette");
     settings.without.blind_ends |= off("blind-ends");
-    let isa = std::env::var("ISA").ok().and_then(|n| Isa::from_name(&n)).unwrap_or(Isa::detect());
+    let isa =
+        std::env::var("ISA").map_or(Some(Isa::detect()), |name| Isa::from_name(&name).filter(|isa| isa.is_available()));
+    let isa = isa.ok_or("this machine has no path of the name in ISA")?;
     let tracer = Tracer::new(world, settings.clone(), isa)?;
     let mut film = Film::new(&settings);
     let window = settings.film.crop;

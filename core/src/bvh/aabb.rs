@@ -25,6 +25,12 @@ impl Aabb {
         self.union(Aabb { min: point, max: point })
     }
 
+    /// Its middle.
+    pub fn centre(self) -> Vec3 {
+        // Half of each, so that the sum cannot overflow.
+        self.min * 0.5 + self.max * 0.5
+    }
+
     /// Half of its surface; 0 where it is empty.
     pub fn half_area(self) -> f32 {
         let d = (self.max - self.min).max(Vec3::ZERO);

@@ -79,15 +79,6 @@ impl Node {
         (0..WIDTH).filter(|&slot| self.bounds[0][0][slot] <= self.bounds[0][1][slot])
     }
 
-    /// Puts others in the place of what is there.
-    pub(super) fn map_children(&mut self, mut other: impl FnMut(Child) -> Child) {
-        for slot in 0..WIDTH {
-            if self.bounds[0][0][slot] <= self.bounds[0][1][slot] {
-                self.children[slot] = other(self.child(slot)).0;
-            }
-        }
-    }
-
     #[inline(always)]
     pub(super) fn child(&self, slot: usize) -> Child {
         Child(self.children[slot & (WIDTH - 1)])
@@ -113,7 +104,11 @@ impl Bvh8 {
     /// Puts other runs of items in the place of the leaves' own, in the order of the nodes.
     pub fn map_leaves(&mut self, mut other: impl FnMut(Leaf) -> Leaf) {
         for node in &mut self.nodes {
-            node.map_children(|child| child.as_leaf().map_or(child, |leaf| Child::leaf(other(leaf))));
+            for slot in 0..WIDTH {
+                if let Some(leaf) = node.child(slot).as_leaf() {
+                    node.children[slot] = Child::leaf(other(leaf)).0;
+                }
+            }
         }
     }
 

@@ -283,8 +283,9 @@ impl Geometry {
 
     /// Centre and radius of a ball around everything; radius 0 for an empty scene.
     pub fn bounding_ball(&self) -> (Vec3, f32) {
-        let Aabb { min, max } = self.bounds_of_all();
-        if min.x > max.x { (Vec3::ZERO, 0.0) } else { (0.5 * (min + max), 0.5 * (max - min).length()) }
+        let all = self.bounds_of_all();
+        let size = all.max - all.min;
+        if size.x < 0.0 { (Vec3::ZERO, 0.0) } else { (all.centre(), 0.5 * size.length()) }
     }
 
     /// The box around everything.

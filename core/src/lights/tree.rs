@@ -120,7 +120,7 @@ impl Lobe {
         let Reach { bounds, axis, cos_normals, cos_emission, intensity } = *reach;
         let size2 = (bounds.max - bounds.min).length_squared();
         Self {
-            centre: 0.5 * (bounds.min + bounds.max),
+            centre: bounds.centre(),
             // A point gets a ball too, so that the point itself has an importance.
             radius2: (0.25 * size2).max(f32::MIN_POSITIVE),
             axis,
@@ -226,7 +226,7 @@ fn union_of_cones(a: (Vec3, f32), b: (Vec3, f32)) -> (Vec3, f32) {
 /// Reorders lights so that those before the returned index make the first child: the cheapest of the planes across all axes;
 /// none if no plane parts them.
 fn split(lights: &[Reach], order: &mut [u32]) -> Option<usize> {
-    let centre = |i: u32| 0.5 * (lights[i as usize].bounds.min + lights[i as usize].bounds.max);
+    let centre = |i: u32| lights[i as usize].bounds.centre();
     let centres = order.iter().fold(Aabb::EMPTY, |all, &i| all.with(centre(i)));
     let size = centres.max - centres.min;
     let largest = size.max_element();

@@ -3,6 +3,7 @@
 //! The usual one is PLOC's (Meister & Bittner 2018), improved by reinsertion (Meister & Bittner 2018b), both by obvhs.
 
 use super::super::Aabb;
+use super::cut::halve;
 use obvhs::bvh2::{Bvh2, reinsertion::ReinsertionOptimizer};
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 use std::ops::Range;
@@ -20,11 +21,6 @@ impl Twig {
 
     fn leaf(index: u32) -> Self {
         Self(index | Self::IS_BOX)
-    }
-
-    /// The same, where boxes have other indices.
-    pub fn of_box(self, other: impl Fn(u32) -> u32) -> Self {
-        self.index().map_or(self, |leaf| Self::leaf(other(leaf)))
     }
 
     /// The same, where so many inner nodes come before.
@@ -57,9 +53,16 @@ pub struct BinaryTree<'a> {
 }
 
 impl<'a> BinaryTree<'a> {
-    /// A tree that hangs from nothing yet.
-    pub fn over(boxes: &'a [Aabb]) -> Self {
-        Self { boxes, inner: Vec::with_capacity(boxes.len()), root: Twig::inner(0), starts: Vec::new() }
+    /// A tree that hangs from nothing yet, with room for its nodes.
+    pub fn over(boxes: &'a [Aabb], nodes: usize) -> Self {
+        Self { boxes, inner: Vec::with_capacity(nodes), root: Twig::inner(0), starts: Vec::new() }
+    }
+
+    /// The same tree, of which the boxes are those of these indices among others.
+    pub fn among<'b>(mut self, boxes: &'b [Aabb], indices: &[u32]) -> BinaryTree<'b> {
+        let renamed = |twig: Twig| twig.index().map_or(twig, |leaf| Twig::leaf(indices[leaf as usize]));
+        self.inner.iter_mut().for_each(|node| node.below = node.below.map(renamed));
+        BinaryTree { boxes, inner: self.inner, root: renamed(self.root), starts: self.starts }
     }
 
     /// Hangs a twig from an inner node, left (0) or right (1), or from nothing: the root.
@@ -78,9 +81,9 @@ impl<'a> BinaryTree<'a> {
         index
     }
 
-    /// Counts what is below the first nodes, when all is hung and the others are counted.
-    pub fn counted(mut self, nodes: usize) -> Self {
-        for index in (0..nodes).rev() {
+    /// Counts what is below, when all is hung; in parts that is done already.
+    pub fn counted(mut self) -> Self {
+        for index in (0..self.top_nodes()).rev() {
             self.inner[index].count = self.inner[index].below.map(|twig| self.count(twig)).iter().sum();
         }
         self
@@ -128,7 +131,7 @@ impl obvhs::Boundable for Aabb {
 }
 
 fn parents_first<'a>(boxes: &'a [Aabb], from: &Bvh2) -> BinaryTree<'a> {
-    let mut tree = BinaryTree::over(boxes);
+    let mut tree = BinaryTree::over(boxes, boxes.len() - 1);
     // What waits is a node of obvhs and where it hangs.
     let mut open = vec![(0_u32, None)];
     while let Some((index, parent)) = open.pop() {
@@ -141,14 +144,13 @@ fn parents_first<'a>(boxes: &'a [Aabb], from: &Bvh2) -> BinaryTree<'a> {
             open.extend([(node.first_index + 1, Some((inner, 1))), (node.first_index, Some((inner, 0)))]);
         }
     }
-    let nodes = tree.inner.len();
-    tree.counted(nodes)
+    tree.counted()
 }
 
 /// A tree of depth log2 of the boxes: halves by the centre along the longest axis.
 pub fn balanced_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
     let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
-    let mut tree = BinaryTree::over(boxes);
+    let mut tree = BinaryTree::over(boxes, boxes.len() - 1);
     let mut open = vec![(0, boxes.len(), None)];
     while let Some((start, end, parent)) = open.pop() {
         let run = &mut order[start..end];
@@ -157,14 +159,9 @@ pub fn balanced_tree(boxes: &[Aabb]) -> BinaryTree<'_> {
             continue;
         }
         let bounds = run.iter().fold(Aabb::EMPTY, |all, &i| all.union(boxes[i as usize]));
-        let axis = (bounds.max - bounds.min).max_position();
-        // Half of each, so that the sum cannot overflow.
-        let centre = |i: &u32| boxes[*i as usize].min[axis] * 0.5 + boxes[*i as usize].max[axis] * 0.5;
-        let middle = run.len() / 2;
-        run.select_nth_unstable_by(middle, |a, b| centre(a).total_cmp(&centre(b)).then(a.cmp(b)));
+        let middle = halve(boxes, run, (bounds.max - bounds.min).max_position());
         let inner = tree.grow(bounds, parent);
         open.extend([(start + middle, end, Some((inner, 1))), (start, start + middle, Some((inner, 0)))]);
     }
-    let nodes = tree.inner.len();
-    tree.counted(nodes)
+    tree.counted()
 }

@@ -5,7 +5,7 @@
 
 use super::super::node::{Bvh8, Child, Leaf, Node, WIDTH};
 use super::super::simd::settled;
-use super::binary::{BinaryTree, Inner, Twig};
+use super::binary::{BinaryTree, Twig};
 use super::{Built, LeafCost};
 use rayon::prelude::*;
 
@@ -24,12 +24,19 @@ fn split([left, right]: &[Forests; 2], trees: usize) -> (f32, usize) {
     best
 }
 
-/// What was decided at an inner node.
+/// What matters of a twig to what is above it.
+#[derive(Clone, Copy)]
+struct Summary {
+    forests: Forests,
+    /// The sum of half areas of the boxes below.
+    content: f32,
+}
+
+/// What was decided at an inner node, and what of its [`Summary`] is needed afterwards.
 #[derive(Clone, Copy)]
 struct Choice {
     /// What is below as one tree costs this.
     cost: f32,
-    /// The sum of half areas of the boxes below.
     content: f32,
     /// For two to eight trees, three bits each, how many of them the left one gets; then for two to seven, whether they cost less than one;
     /// then whether all of it is a leaf.
@@ -56,84 +63,75 @@ impl Choice {
     }
 }
 
-/// A binary tree, and how to make a wide one of it.
-pub struct Collapse<'a> {
+/// A binary tree, and what its leaves cost.
+struct Costs<'a> {
     tree: BinaryTree<'a>,
     leaf: LeafCost,
-    /// Of the inner nodes.
-    choices: Vec<Choice>,
 }
 
-impl<'a> Collapse<'a> {
-    /// The wide tree.
-    pub fn run(tree: BinaryTree<'a>, leaf: LeafCost) -> Built {
-        let mut choices = vec![Choice::NONE; tree.inner.len()];
-        let top_nodes = tree.top_nodes();
-        let (top, mut rest) = choices.split_at_mut(top_nodes);
+impl Costs<'_> {
+    /// Decides at every inner node: in all parts at once, then above them.
+    fn choices(&self) -> Vec<Choice> {
+        let mut choices = vec![Choice::NONE; self.tree.inner.len()];
+        let (top, mut rest) = choices.split_at_mut(self.tree.top_nodes());
         let mut parts = Vec::new();
-        for part in tree.parts() {
-            let (choices, others) = rest.split_at_mut(part.len());
-            parts.push((part.start, choices));
+        for part in self.tree.parts() {
+            let (own, others) = rest.split_at_mut(part.len());
+            parts.push((part.start, own));
             rest = others;
         }
-        let collapse = Collapse { tree, leaf, choices: Vec::new() };
-        // What hangs from the top is all that matters of the forests of a part.
-        let mut roots: Vec<usize> = collapse.tree.inner[..top_nodes]
-            .iter()
-            .flat_map(|node| node.below)
-            .filter_map(|twig| twig.index().err())
-            .collect();
+        // What hangs from the top is all that is asked of a part.
+        let below_top = self.tree.inner[..top.len()].iter().flat_map(|node| node.below);
+        let mut roots: Vec<usize> = below_top.filter_map(|twig| twig.index().err()).collect();
         roots.sort_unstable();
-        let of_part = |(start, choices): (usize, &mut [Choice])| {
-            let forests = collapse.decide(start, choices, &[]);
-            let range = roots.partition_point(|&root| root < start)
-                ..roots.partition_point(|&root| root < start + choices.len());
-            let outside = |&root: &usize| (root, forests[root - start], choices[root - start].content);
-            roots[range].iter().map(outside).collect::<Vec<_>>()
+        let of_part = |(start, own): (usize, &mut [Choice])| {
+            let below = |end: usize| roots.partition_point(|&root| root < end);
+            let roots = &roots[below(start)..below(start + own.len())];
+            let summaries = self.decide(start, own, &[]);
+            roots.iter().map(|&root| (root, summaries[root - start])).collect::<Vec<_>>()
         };
-        let outside: Vec<_> = parts.into_par_iter().map(of_part).collect::<Vec<_>>().concat();
-        collapse.decide(0, top, &outside);
-        let mut built = Collapse { choices, ..collapse }.emit();
-        // The tree is gone: there is room for a copy.
-        built.bvh.nodes = settled(built.bvh.nodes);
-        built
+        let of_parts = parts.into_par_iter().map(of_part).collect::<Vec<_>>().concat();
+        self.decide(0, top, &of_parts);
+        choices
     }
 
-    /// Decides at the inner nodes from `start` on, for which `choices` has room. Of nodes elsewhere that hang from these, `outside` has forests
-    /// and contents, in order. Gives the forests.
-    fn decide(&self, start: usize, choices: &mut [Choice], outside: &[(usize, Forests, f32)]) -> Vec<Forests> {
-        let mut forests = vec![[0.0; WIDTH - 1]; choices.len()];
+    /// Decides at the inner nodes from `start` on, for which `choices` has room. What hangs from them is among them, or in order in
+    /// `elsewhere`.
+    fn decide(&self, start: usize, choices: &mut [Choice], elsewhere: &[(usize, Summary)]) -> Vec<Summary> {
+        let mut summaries = vec![Summary { forests: [0.0; WIDTH - 1], content: 0.0 }; choices.len()];
         for index in (0..choices.len()).rev() {
-            let Inner { bounds, below, .. } = &self.tree.inner[start + index];
-            let below = below.map(|twig| match twig.index() {
+            let below = self.tree.inner[start + index].below.map(|twig| match twig.index() {
                 // A box is one tree, however many it may be.
-                Ok(leaf) => ([self.leaf_cost(twig); WIDTH - 1], self.tree.boxes[leaf as usize].half_area()),
-                Err(inner) if (start..start + choices.len()).contains(&inner) => {
-                    (forests[inner - start], choices[inner - start].content)
-                }
-                Err(inner) => {
-                    let at = outside.partition_point(|&(node, ..)| node < inner);
-                    (outside[at].1, outside[at].2)
-                }
+                Ok(leaf) => Summary {
+                    forests: [self.leaf_cost(twig); WIDTH - 1],
+                    content: self.tree.boxes[leaf as usize].half_area(),
+                },
+                Err(inner) if (start..start + summaries.len()).contains(&inner) => summaries[inner - start],
+                Err(inner) => elsewhere[elsewhere.partition_point(|&(node, _)| node < inner)].1,
             });
-            let content = below[0].1 + below[1].1;
-            let below = below.map(|(forests, _)| forests);
-            let (as_node, of_left) = split(&below, WIDTH);
-            let (as_node, as_leaf) = (as_node + bounds.half_area(), self.leaf_cost(Twig::inner(start + index)));
-            let one = as_leaf.min(as_node);
-            let mut bits = (of_left as u32) << (3 * (WIDTH - 2));
-            let mut costs = [one; WIDTH - 1];
-            for trees in 2..WIDTH {
-                let (cost, of_left) = split(&below, trees);
-                costs[trees - 1] = costs[trees - 2].min(cost);
-                bits |= (of_left as u32) << (3 * (trees - 2));
-                bits |= u32::from(costs[trees - 1] != one) << (Choice::LESS + trees - 2);
-            }
-            let is_leaf = self.tree.inner[start + index].count <= self.leaf.max_count && as_leaf <= one;
-            bits |= u32::from(is_leaf) << Choice::LEAF;
-            (choices[index], forests[index]) = (Choice { cost: one, content, bits }, costs);
+            (choices[index], summaries[index]) = self.choose(Twig::inner(start + index), below);
         }
-        forests
+        summaries
+    }
+
+    /// Decides at an inner node.
+    fn choose(&self, twig: Twig, below: [Summary; 2]) -> (Choice, Summary) {
+        let content = below[0].content + below[1].content;
+        let below = below.map(|twig| twig.forests);
+        let (as_node, of_left) = split(&below, WIDTH);
+        let (as_node, as_leaf) = (as_node + self.tree.bounds(twig).half_area(), self.leaf_cost(twig));
+        let cost = as_leaf.min(as_node);
+        let mut bits = (of_left as u32) << (3 * (WIDTH - 2));
+        let mut forests = [cost; WIDTH - 1];
+        for trees in 2..WIDTH {
+            let (together, of_left) = split(&below, trees);
+            forests[trees - 1] = forests[trees - 2].min(together);
+            bits |= (of_left as u32) << (3 * (trees - 2));
+            bits |= u32::from(forests[trees - 1] != cost) << (Choice::LESS + trees - 2);
+        }
+        let is_leaf = self.tree.count(twig) <= self.leaf.max_count && as_leaf <= cost;
+        bits |= u32::from(is_leaf) << Choice::LEAF;
+        (Choice { cost, content, bits }, Summary { forests, content })
     }
 
     fn leaf_cost(&self, twig: Twig) -> f32 {
@@ -144,7 +142,26 @@ impl<'a> Collapse<'a> {
         let blocks = count.div_ceil(self.leaf.block) as f32;
         self.tree.bounds(twig).half_area() * blocks * self.leaf.block_cost
     }
+}
 
+/// The wide tree that costs least.
+pub fn collapsed(tree: BinaryTree, leaf: LeafCost) -> Built {
+    let costs = Costs { tree, leaf };
+    let choices = costs.choices();
+    let mut built = Collapse { costs, choices }.emit();
+    // The tree is gone: there is room for a copy.
+    built.bvh.nodes = settled(built.bvh.nodes);
+    built
+}
+
+/// A binary tree, and how to make a wide one of it.
+struct Collapse<'a> {
+    costs: Costs<'a>,
+    /// Of the inner nodes.
+    choices: Vec<Choice>,
+}
+
+impl Collapse<'_> {
     /// The roots of the forest of at most `trees` trees.
     fn roots(&self, twig: Twig, trees: usize, out: &mut Vec<Twig>) {
         match twig.index() {
@@ -154,7 +171,7 @@ impl<'a> Collapse<'a> {
     }
 
     fn roots_below(&self, index: usize, trees: usize, out: &mut Vec<Twig>) {
-        let [left, right] = self.tree.inner[index].below;
+        let [left, right] = self.costs.tree.inner[index].below;
         let of_left = self.choices[index].of_left(trees);
         self.roots(left, of_left, out);
         self.roots(right, trees - of_left, out);
@@ -168,9 +185,9 @@ impl<'a> Collapse<'a> {
     /// that goes down where this is largest ends soonest. The chance is a guess: `density` boxes lie behind any point
     /// of the surface, and half of what passes a primitive's box hits it.
     fn promise(&self, twig: Twig) -> f32 {
-        let area = self.tree.bounds(twig).half_area();
+        let area = self.costs.tree.bounds(twig).half_area();
         let (cost, content) = match twig.index() {
-            Ok(leaf) => (self.leaf_cost(twig), self.tree.boxes[leaf as usize].half_area()),
+            Ok(leaf) => (self.costs.leaf_cost(twig), self.costs.tree.boxes[leaf as usize].half_area()),
             Err(inner) => (self.choices[inner].cost, self.choices[inner].content),
         };
         let density = 0.5 * content / area;
@@ -181,7 +198,7 @@ impl<'a> Collapse<'a> {
     fn append(&self, twig: Twig, order: &mut Vec<u32>) {
         match twig.index() {
             Ok(leaf) => order.push(leaf),
-            Err(inner) => self.tree.inner[inner].below.iter().for_each(|&below| self.append(below, order)),
+            Err(inner) => self.costs.tree.inner[inner].below.iter().for_each(|&below| self.append(below, order)),
         }
     }
 
@@ -193,8 +210,8 @@ impl<'a> Collapse<'a> {
 
     fn emit(self) -> Built {
         let mut nodes = vec![Node::EMPTY];
-        let mut order = Vec::with_capacity(self.tree.boxes.len());
-        let mut open = vec![(self.tree.root, 0)];
+        let mut order = Vec::with_capacity(self.costs.tree.boxes.len());
+        let mut open = vec![(self.costs.tree.root, 0)];
         let mut roots = Vec::with_capacity(WIDTH);
         let mut promising = Vec::with_capacity(WIDTH);
         while let Some((twig, wide)) = open.pop() {
@@ -217,7 +234,7 @@ impl<'a> Collapse<'a> {
                     open.push((below, nodes.len() - 1));
                     Child::node(nodes.len() as u32 - 1)
                 };
-                nodes[wide].set(slot, self.tree.bounds(below), child);
+                nodes[wide].set(slot, self.costs.tree.bounds(below), child);
             }
             open[opened..].reverse();
         }

@@ -37,8 +37,7 @@ pub fn cut<'o>(boxes: &[Aabb], order: &'o mut [u32], most: usize) -> Vec<&'o mut
 
 /// Parts the indices in two, and says where the second begins.
 fn split(boxes: &[Aabb], order: &mut [u32]) -> usize {
-    // Half of each, so that the sum cannot overflow.
-    let centre = |i: u32| boxes[i as usize].min * 0.5 + boxes[i as usize].max * 0.5;
+    let centre = |i: u32| boxes[i as usize].centre();
     let centres = order.iter().fold(Aabb::EMPTY, |all, &i| all.with(centre(i)));
     let extent = centres.max - centres.min;
     let axis = extent.max_position();
@@ -49,11 +48,7 @@ fn split(boxes: &[Aabb], order: &mut [u32]) -> usize {
         let bin = &mut bins[bin(i)];
         *bin = bin.with(Bin { bounds: boxes[i as usize], count: 1 });
     }
-    let Some(plane) = best_plane(&bins) else {
-        let middle = order.len() / 2;
-        order.select_nth_unstable_by(middle, |&a, &b| centre(a)[axis].total_cmp(&centre(b)[axis]).then(a.cmp(&b)));
-        return middle;
-    };
+    let Some(plane) = best_plane(&bins) else { return halve(boxes, order, axis) };
     let mut middle = 0;
     for at in 0..order.len() {
         if bin(order[at]) < plane {
@@ -61,6 +56,14 @@ fn split(boxes: &[Aabb], order: &mut [u32]) -> usize {
             middle += 1;
         }
     }
+    middle
+}
+
+/// Parts the indices in two of equal number by the centres along an axis, and says where the second begins.
+pub fn halve(boxes: &[Aabb], order: &mut [u32], axis: usize) -> usize {
+    let middle = order.len() / 2;
+    let centre = |i: u32| boxes[i as usize].centre()[axis];
+    order.select_nth_unstable_by(middle, |&a, &b| centre(a).total_cmp(&centre(b)).then(a.cmp(&b)));
     middle
 }
 

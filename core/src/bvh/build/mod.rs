@@ -13,7 +13,7 @@ mod tests;
 use super::Aabb;
 use super::node::{Bvh8, Node};
 use binary::balanced_tree;
-use collapse::Collapse;
+use collapse::collapsed;
 
 /// What a leaf costs and may hold.
 #[derive(Clone, Copy, Debug)]
@@ -43,13 +43,13 @@ impl Built {
         }
         let all = boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
         if (all.half_area() * boxes.len() as f32).is_finite() {
-            let built = Collapse::run(parts::binary_tree(boxes, parts::BOXES_MAX), leaf);
+            let built = collapsed(parts::binary_tree(boxes, parts::BOXES_MAX), leaf);
             if built.bvh.stack_need() <= Bvh8::STACK {
                 return built;
             }
         }
         // Boxes whose sizes grow geometrically make chains, and areas beyond f32 cannot be compared. A balanced tree is
         // worse to trace and never deep.
-        Collapse::run(balanced_tree(boxes), leaf)
+        collapsed(balanced_tree(boxes), leaf)
     }
 }

@@ -2,7 +2,7 @@ use super::super::node::Leaf;
 use super::super::simd::{Lanes, Portable};
 use super::super::tests::{noise3, ray};
 use super::super::{Aabb, Bvh8, Leaves, Slabs};
-use super::collapse::Collapse;
+use super::collapse::collapsed;
 use super::cut::cut;
 use super::{Built, LeafCost, parts};
 use glam::Vec3;
@@ -59,7 +59,7 @@ fn leaves_may_hold_anything() {
         .collect();
     let leaf = LeafCost { max_count: 3, block: 1, block_cost: 1.0 };
     for most in [200, 150, 8] {
-        shows_what_is_passed(&Collapse::run(parts::binary_tree(&boxes, most), leaf), &boxes);
+        shows_what_is_passed(&collapsed(parts::binary_tree(&boxes, most), leaf), &boxes);
     }
 }
 
