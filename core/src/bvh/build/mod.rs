@@ -14,6 +14,7 @@ use super::Aabb;
 use super::node::{Bvh8, Node};
 use binary::balanced_tree;
 use collapse::collapsed;
+use parts::{Sizes, binary_tree};
 
 /// What a leaf costs and may hold.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +44,7 @@ impl Built {
         }
         let all = boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
         if (all.half_area() * boxes.len() as f32).is_finite() {
-            let built = collapsed(parts::binary_tree(boxes, parts::BOXES_MAX), leaf);
+            let built = collapsed(binary_tree(boxes, Sizes::USUAL), leaf);
             if built.bvh.stack_need() <= Bvh8::STACK {
                 return built;
             }

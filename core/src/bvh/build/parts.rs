@@ -5,18 +5,27 @@ use super::binary::{BinaryTree, Inner, REINSERTED, Twig, whole};
 use super::cut::cut;
 use rayon::prelude::*;
 
-/// The most boxes of a part: some megabytes while it is built.
-pub const BOXES_MAX: usize = 1 << 16;
-/// Trees into which a part is opened, so that what is above is made of all parts: large boxes, which no cut suits, come together there. By
-/// the surface area heuristic an interior costs 2 % more with 64, 7 % with one; with more than these there is nothing to gain.
-const TREES: usize = 256;
+/// How parts are made.
+#[derive(Clone, Copy)]
+pub struct Sizes {
+    /// The most boxes of a part.
+    pub boxes: usize,
+    /// Trees into which a part is opened, so that what is above is made of all parts: large boxes, which no cut suits, come together there.
+    pub trees: usize,
+}
 
-/// Opens the root and then always the largest node that hangs from those, until there are [`TREES`] or all are boxes. The opened nodes are
-/// not needed any more.
-fn open(tree: &BinaryTree) -> Vec<Twig> {
+impl Sizes {
+    /// A part takes some megabytes while it is built. By the surface area heuristic an interior costs 2 % more with 64 trees, 7 % with one;
+    /// with more than these there is nothing to gain.
+    pub const USUAL: Self = Self { boxes: 1 << 16, trees: 256 };
+}
+
+/// Opens the root and then always the largest node that hangs from those, until there are so many trees or all are boxes. The opened
+/// nodes are not needed any more.
+fn open(tree: &BinaryTree, count: usize) -> Vec<Twig> {
     let mut trees = vec![tree.root];
     let area = |twig: &Twig| twig.index().map_or_else(|inner| tree.inner[inner].bounds.half_area(), |_| -1.0);
-    while trees.len() < TREES {
+    while trees.len() < count {
         let largest = (0..trees.len()).max_by(|&a, &b| area(&trees[a]).total_cmp(&area(&trees[b])));
         let Some((at, Err(inner))) = largest.map(|at| (at, trees[at].index())) else { break };
         trees.swap_remove(at);
@@ -25,16 +34,16 @@ fn open(tree: &BinaryTree) -> Vec<Twig> {
     trees
 }
 
-/// A good tree over finite boxes whose areas are finite, too, in parts of at most `most`: the same on any number of threads.
-pub fn binary_tree(boxes: &[Aabb], most: usize) -> BinaryTree<'_> {
-    if boxes.len() <= most {
+/// A good tree over finite boxes whose areas are finite, too, in parts if they are many: the same on any number of threads.
+pub fn binary_tree(boxes: &[Aabb], sizes: Sizes) -> BinaryTree<'_> {
+    if boxes.len() <= sizes.boxes {
         return whole(boxes, REINSERTED);
     }
     let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
-    let parts = cut(boxes, &mut order, most).into_par_iter().map(|indices| {
+    let parts = cut(boxes, &mut order, sizes.boxes).into_par_iter().map(|indices| {
         let own: Vec<Aabb> = indices.iter().map(|&i| boxes[i as usize]).collect();
         let part = whole(&own, REINSERTED).among(boxes, indices);
-        let trees = open(&part);
+        let trees = open(&part, sizes.trees);
         (part, trees)
     });
     let parts: Vec<(BinaryTree, Vec<Twig>)> = parts.collect();

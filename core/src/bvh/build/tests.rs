@@ -4,7 +4,8 @@ use super::super::tests::{noise3, ray};
 use super::super::{Aabb, Bvh8, Leaves, Slabs};
 use super::collapse::collapsed;
 use super::cut::cut;
-use super::{Built, LeafCost, parts};
+use super::parts::{Sizes, binary_tree};
+use super::{Built, LeafCost};
 use glam::Vec3;
 
 fn sorted(order: &[u32]) -> Vec<u32> {
@@ -49,6 +50,7 @@ impl<L: Lanes> Leaves<L> for Shown<'_> {
     }
 }
 
+/// Whether the tree is built whole or in parts. Fails where trees of a part are not moved to their place.
 #[test]
 fn leaves_may_hold_anything() {
     let boxes: Vec<Aabb> = (0..200)
@@ -58,8 +60,8 @@ fn leaves_may_hold_anything() {
         })
         .collect();
     let leaf = LeafCost { max_count: 3, block: 1, block_cost: 1.0 };
-    for most in [200, 150, 8] {
-        shows_what_is_passed(&collapsed(parts::binary_tree(&boxes, most), leaf), &boxes);
+    for (part, trees) in [(200, 1), (150, 1), (150, 8), (30, 5), (8, 100)] {
+        shows_what_is_passed(&collapsed(binary_tree(&boxes, Sizes { boxes: part, trees }), leaf), &boxes);
     }
 }
 
@@ -86,13 +88,15 @@ fn shows_what_is_passed(built: &Built, boxes: &[Aabb]) {
     }
 }
 
-/// Parts hold everything once, none too much and none next to nothing, whether boxes lie apart or all in one place.
+/// Parts hold everything once, none too much and none next to nothing, whether boxes lie apart, all in one place, or all but
+/// a few. Fails where a plane may leave a few on one side.
 #[test]
 fn parts_are_neither_large_nor_tiny() {
     let apart = |i: usize| noise3(12, i) * 10.0;
     let on_a_line = |i: usize| Vec3::X * libm::exp2f(i as f32 / 50.0);
     let all_in_one = |_: usize| Vec3::ONE;
-    for place in [&apart as &dyn Fn(usize) -> Vec3, &on_a_line, &all_in_one] {
+    let few_far_off = |i: usize| if i < 10 { Vec3::splat(1000.0) } else { noise3(12, i) };
+    for place in [&apart as &dyn Fn(usize) -> Vec3, &on_a_line, &all_in_one, &few_far_off] {
         let boxes: Vec<Aabb> = (0..5000).map(|i| Aabb { min: place(i), max: place(i) + Vec3::splat(0.1) }).collect();
         let mut order: Vec<u32> = (0..5000).collect();
         let parts = cut(&boxes, &mut order, 300);
