@@ -55,11 +55,9 @@ impl Textures {
         let Texture::Bitmap { image, to_uv, wrap, .. } = &self.textures[id.0 as usize] else { return };
         let image = &self.images[image.0 as usize];
         let p = texels(image, to_uv, uv) - Vec2::splat(0.5);
-        let (x, y) = (floor(p.x), floor(p.y));
-        let column = wrapped(x, image.width, *wrap) as usize;
-        for y in [y, y + 1.0] {
-            let row = wrapped(y, image.height, *wrap) as usize * image.width as usize;
-            self.prefetch_texel(image, row + column);
+        let [column, _] = neighbours(floor(p.x), image.width, *wrap);
+        for row in neighbours(floor(p.y), image.height, *wrap) {
+            self.prefetch_texel(image, row * image.width as usize + column);
         }
     }
 
@@ -144,9 +142,8 @@ impl Textures {
     fn cell(&self, image: &Image, wrap: WrapMode, p: Vec2) -> Cell {
         let p = p - Vec2::splat(0.5);
         let corner = Vec2::new(floor(p.x), floor(p.y));
-        let column = |x: f32| wrapped(corner.x + x, image.width, wrap) as usize;
-        let row = |y: f32| wrapped(corner.y + y, image.height, wrap) as usize * image.width as usize;
-        let (left, right, upper, lower) = (column(0.0), column(1.0), row(0.0), row(1.0));
+        let [left, right] = neighbours(corner.x, image.width, wrap);
+        let [upper, lower] = neighbours(corner.y, image.height, wrap).map(|row| row * image.width as usize);
         Cell {
             upper: [self.texel(image, upper + left), self.texel(image, upper + right)],
             lower: [self.texel(image, lower + left), self.texel(image, lower + right)],
@@ -215,6 +212,21 @@ fn floor(x: f32) -> f32 {
         x.floor()
     }
 }
+
+/// A texel coordinate and the next one, both brought into 0..size.
+#[inline(always)]
+fn neighbours(x: f32, size: u32, wrap: WrapMode) -> [usize; 2] {
+    if x.abs() < EXACT && wrap == WrapMode::Repeat {
+        // Of i32, whose division takes half as long as that of i64.
+        let (i, n) = (x as i32, size as i32);
+        let i = if (0..n).contains(&i) { i } else { i.rem_euclid(n) };
+        return [i as usize, if i + 1 == n { 0 } else { i as usize + 1 }];
+    }
+    [wrapped(x, size, wrap) as usize, wrapped(x + 1.0, size, wrap) as usize]
+}
+
+/// Integers below this have a next one that is exact, too.
+const EXACT: f32 = (1 << 24) as f32;
 
 /// A texel coordinate brought into 0..size. What is not finite becomes 0.
 #[inline(always)]
