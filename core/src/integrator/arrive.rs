@@ -8,7 +8,7 @@ use crate::bvh::Ray;
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::geometry::{Hit, place};
 use crate::sampler::{Sampler, Slot};
-use crate::settings::{Offsets, SamplerKind, Strategy};
+use crate::settings::{Offsets, SamplerKind};
 use crate::shading::Shading;
 use crate::surface::Surface;
 use crate::witness::{Cause, Event, Witness};
@@ -29,15 +29,14 @@ impl Estimator {
     ) {
         let count = self.trace(lanes, world, wave, witness);
         world.geometry.prefetch(&wave.hits[..count]);
-        for k in (0..count).filter(|&k| wave.hits[k].is_none()) {
-            let mis = self.strategy == Strategy::Mis;
-            world.lights.prefetch_background(&world.textures, wave.rays[k].direction, mis);
-        }
+        self.look_beyond(lanes, world, wave, count);
         let mut arrived = 0;
         for k in 0..count {
             let i = wave.owners[k];
             let Some(hit) = self.visible(lanes, world, wave, k) else {
-                self.escape(lanes, world, wave, i, witness);
+                if !wave.sky.is_some[i] {
+                    self.escape(lanes, world, wave, i, witness);
+                }
                 continue;
             };
             if wave.is_last[i] {
@@ -65,6 +64,7 @@ impl Estimator {
             (wave.owners[arrived], wave.hits[arrived], wave.rays[arrived]) = (i, Some(hit), wave.rays[k]);
             arrived += 1;
         }
+        self.shine_beyond(lanes, world, wave, witness);
         if arrived == 0 {
             return; // What branches have in common stays as it is.
         }
@@ -311,7 +311,7 @@ impl Kernel for Shade<'_, '_> {
 
 /// Gains light that the path found, of this weight beside light sampling.
 #[inline(always)]
-fn found<W: Witness>(wave: &mut Wave, i: usize, radiance: Vec3, mis: f32, witness: &mut W) {
+pub(super) fn found<W: Witness>(wave: &mut Wave, i: usize, radiance: Vec3, mis: f32, witness: &mut W) {
     let gained = wave.throughput.at(i) * wave.share[i] * (radiance * mis);
     witness.see(|| Event::Emission { radiance, mis, pdf: wave.from.pdf[i], gained });
     wave.gain(i, gained);

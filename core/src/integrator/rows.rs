@@ -193,6 +193,18 @@ impl LightSamples {
         self.direction.set(i, sample.shadow_ray.direction);
         self.t_max[i] = sample.shadow_ray.t_max;
     }
+
+    /// Keeps a sample, or the one that is there, without a branch.
+    #[inline(always)]
+    pub fn set_if(&mut self, i: usize, sample: &LightSample, really: bool) {
+        let or = |new: Vec3, old: Vec3| if really { new } else { old };
+        self.wi.set(i, or(sample.wi, self.wi.at(i)));
+        self.weight.set(i, or(sample.weight, self.weight.at(i)));
+        self.pdf[i] = if really { sample.pdf } else { self.pdf[i] };
+        self.origin.set(i, or(sample.shadow_ray.origin, self.origin.at(i)));
+        self.direction.set(i, or(sample.shadow_ray.direction, self.direction.at(i)));
+        self.t_max[i] = if really { sample.shadow_ray.t_max } else { self.t_max[i] };
+    }
 }
 
 /// Directions to go on, as [`crate::bsdf::Sample`].

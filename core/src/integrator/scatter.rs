@@ -32,7 +32,7 @@ impl Estimator {
             wave.chosen[count] = i;
             count += usize::from(wave.state[i] == State::Surface);
         }
-        if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !world.lights.is_empty() {
+        if (self.strategy == Strategy::Light || self.strategy.is_mis()) && !world.lights.is_empty() {
             self.direct(lanes, world, wave, count, witness);
         }
         self.choose_directions(lanes, wave, count);
@@ -45,12 +45,15 @@ impl Estimator {
     /// Next-event estimation: light from one point of one light, if the way is free.
     #[inline(always)]
     fn direct<L: Lanes, W: Witness>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize, witness: &mut W) {
-        let with_bsdf = self.strategy == Strategy::Mis;
-        let plain = lanes.run(ChooseLights { world, wave, count });
+        let with_bsdf = self.strategy.is_mis();
+        let Kinds { plain, sky } = lanes.run(ChooseLights { world, wave, count });
         if plain > 0 {
             lanes.run(PlainLights(wave));
         }
-        if plain < count {
+        if sky > 0 {
+            self.sample_sky(lanes, world, wave);
+        }
+        if plain + sky < count {
             lanes.run(OtherLights { world, wave, count, with_bsdf });
         }
         lanes.run(Evaluate(wave, with_bsdf));
@@ -223,22 +226,30 @@ impl Kernel for Draw<'_, '_> {
     }
 }
 
-/// Chooses a light for every surface; how many of them are plain.
+/// Chooses a light for every surface.
 struct ChooseLights<'a, 'w> {
     world: &'a World,
     wave: &'a mut Wave<'w>,
     count: usize,
 }
 
+/// How many surfaces have chosen a plain light, and how many the image all around.
+struct Kinds {
+    plain: usize,
+    sky: usize,
+}
+
 impl Kernel for ChooseLights<'_, '_> {
-    type Output = usize;
+    type Output = Kinds;
 
     #[inline(always)]
-    fn run<L: Lanes>(self, _: L) -> usize {
+    fn run<L: Lanes>(self, _: L) -> Kinds {
         let Self { world, wave, count } = self;
-        let mut plain = 0;
+        let mut kinds = Kinds { plain: 0, sky: 0 };
+        let has_sky = world.lights.environment().is_some();
         let needs_choice = world.lights.needs_choice();
         wave.is_plain = [false; WIDTH];
+        wave.sky.is_some = [false; WIDTH];
         for k in 0..count {
             let i = wave.chosen[k];
             wave.light[i] = NONE;
@@ -258,14 +269,17 @@ impl Kernel for ChooseLights<'_, '_> {
                 wave.triangles.extra.set(i, light.radiance);
                 wave.triangles.area[i] = light.area;
                 wave.is_plain[i] = true;
-                plain += 1;
+                kinds.plain += 1;
+            } else if has_sky && world.lights.is_background(chosen.light) {
+                wave.sky.is_some[i] = true;
+                kinds.sky += 1;
             }
         }
-        plain
+        kinds
     }
 }
 
-/// Samples the lights that are not plain.
+/// Samples the lights that are neither plain nor the image all around.
 struct OtherLights<'a, 'w> {
     world: &'a World,
     wave: &'a mut Wave<'w>,
@@ -279,16 +293,9 @@ impl Kernel for OtherLights<'_, '_> {
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
         let Self { world, wave, count, with_bsdf } = self;
-        let is_other = |wave: &Wave, i: usize| !wave.is_plain[i] && wave.light[i] != NONE;
         for k in 0..count {
             let i = wave.chosen[k];
-            if is_other(wave, i) {
-                world.lights.prefetch(&world.textures, wave.light[i], wave.lights.u.at(i), with_bsdf);
-            }
-        }
-        for k in 0..count {
-            let i = wave.chosen[k];
-            if !is_other(wave, i) {
+            if wave.is_plain[i] || wave.sky.is_some[i] || wave.light[i] == NONE {
                 continue;
             }
             let (light, probability, u) = (wave.light[i], wave.lights.probability[i], wave.lights.u.at(i));

@@ -3,6 +3,7 @@
 use super::rows::{
     Frames, LightSamples, NONE, Numbers, Origins, Samples, Stem, Surfaces, Triangles, Vec2s, Vec3s, WIDTH,
 };
+use super::sky::Skies;
 use super::{Roulette, Tag};
 use crate::bsdf::{Closure, Diffuse};
 use crate::bvh::Ray;
@@ -81,6 +82,7 @@ pub(super) struct Wave<'w> {
     pub light: [u32; WIDTH],
     pub is_plain: [bool; WIDTH],
     pub lights: LightSamples,
+    pub sky: Skies,
     pub next: Samples,
     pub survival: [f32; WIDTH],
     pub survived: [bool; WIDTH],
@@ -158,6 +160,7 @@ impl<'w> Wave<'w> {
                 bsdf_pdf: [0.0; WIDTH],
                 mis: [0.0; WIDTH],
             },
+            sky: Skies::NONE,
             next: Samples {
                 is_some: [false; WIDTH],
                 wi: Vec3s::ZERO,

@@ -34,22 +34,6 @@ impl Background {
         }
     }
 
-    /// Asks for what [`Background::sample`] will read, ahead of time.
-    #[inline(always)]
-    pub fn prefetch(&self, textures: &Textures, u: Vec2, mis: bool) {
-        if let Background::Environment(environment) = self {
-            environment.prefetch(textures, u, mis);
-        }
-    }
-
-    /// Asks for what [`Background::at`] will read, ahead of time.
-    #[inline(always)]
-    pub fn prefetch_at(&self, textures: &Textures, wi: Vec3, mis: bool) {
-        if let Background::Environment(environment) = self {
-            environment.prefetch_at(textures, wi, mis);
-        }
-    }
-
     /// Luminance of the radiance, its mean over all directions.
     pub fn mean_luminance(&self) -> f32 {
         match self {

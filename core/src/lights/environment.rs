@@ -41,15 +41,40 @@ pub struct Environment {
     compensated: Option<Distribution>,
 }
 
-/// A position on the image: the cell, and where in it.
-struct Cell {
-    column: usize,
-    row: usize,
-    /// Fractions of the cell, across and down; `y` linear in θ.
-    x: f32,
-    y: f32,
-    /// Down, linear in cos θ.
-    height: f32,
+/// A cell, and a position in it.
+#[derive(Clone, Copy, Debug)]
+pub struct Cell {
+    /// Column of its left texels.
+    pub column: i32,
+    /// Row of its upper texels.
+    pub row: i32,
+    /// Fractions of the cell, across and down, that linear in θ; for a cell that was chosen the numbers that are left.
+    pub at: Vec2,
+    /// 1 − cos θ; meaningless for a cell that was chosen.
+    pub height: f32,
+}
+
+/// All that is read from memory about a cell.
+#[derive(Clone, Copy, Debug)]
+pub struct Patch {
+    /// Radiance of its texels, unscaled: upper left and right, lower left and right.
+    pub corners: [Vec3; 4],
+    /// 1 − cos θ of the upper texels and of the lower ones.
+    pub heights: Vec2,
+    /// Probability to choose it.
+    pub probability: f32,
+}
+
+/// An environment without its tables: without branches, for loops over many directions.
+#[derive(Clone, Copy, Debug)]
+pub struct Globe {
+    to_world: Mat3,
+    width: i32,
+    /// Rows of texels, one more than of cells.
+    rows: i32,
+    scale: f32,
+    /// What is taken from the luminance of every texel.
+    floor: f32,
 }
 
 /// Probabilities of cells.
@@ -84,6 +109,7 @@ impl Environment {
         Self { image, scale, to_world, heights, mean_luminance: mean * scale, alone, compensated }
     }
 
+    /// Luminance of the radiance, its mean over all directions.
     pub fn mean_luminance(&self) -> f32 {
         self.mean_luminance
     }
@@ -93,104 +119,144 @@ impl Environment {
         self.compensated.as_ref().filter(|_| mis).unwrap_or(&self.alone)
     }
 
+    /// What it is but for its tables; `mis` chooses among those.
+    #[inline(always)]
+    pub fn globe(&self, mis: bool) -> Globe {
+        let (width, rows) = (self.image.width as i32, self.image.height as i32);
+        Globe { to_world: self.to_world, width, rows, scale: self.scale, floor: self.distribution(mis).floor }
+    }
+
     /// Radiance from `wi` and the density of [`Environment::sample`] there.
     #[inline(always)]
     pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
-        let cell = self.cell(self.to_world.transpose() * wi);
-        self.within(&cell, self.corners(textures, cell.column, cell.row), self.distribution(mis))
-    }
-
-    /// Radiance and density at a position between four texels.
-    #[inline(always)]
-    fn within(&self, cell: &Cell, [a, b, c, d]: [Vec3; 4], distribution: &Distribution) -> (Vec3, f32) {
-        let upper = a * (1.0 - cell.x) + b * cell.x;
-        let lower = c * (1.0 - cell.x) + d * cell.x;
-        let radiance = (upper * (1.0 - cell.y) + lower * cell.y) * self.scale;
-
-        let weight = |texel: Vec3| distribution.weight(luminance(texel));
-        let (a, b, c, d) = (weight(a), weight(b), weight(c), weight(d));
-        let mean = 0.25 * (a + b + c + d);
-        let upper = a * (1.0 - cell.x) + b * cell.x;
-        let lower = c * (1.0 - cell.x) + d * cell.x;
-        let weight = upper * (1.0 - cell.height) + lower * cell.height;
-        let solid_angle = TAU / self.image.width as f32 * (self.heights[cell.row + 1] - self.heights[cell.row]);
-        let probability = distribution.probability(cell.column, cell.row, self.image.width as usize);
-        (radiance, if mean > 0.0 { probability / solid_angle * (weight / mean) } else { 0.0 })
+        let globe = self.globe(mis);
+        let cell = globe.cell(wi);
+        globe.radiance(&cell, &self.patch(textures, &cell, mis))
     }
 
     /// A unit direction for two random numbers, and what [`Environment::at`] has there.
     #[inline(always)]
     pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> (Vec3, Vec3, f32) {
+        let (row, u) = self.choose_row(u, mis);
+        let cell = self.choose_column(row, u, mis);
+        self.globe(mis).direction(&cell, &self.patch(textures, &cell, mis))
+    }
+
+    /// The row of cells that a random number chooses, and what is left of it. Asks for what [`Environment::choose_column`] will
+    /// read, ahead of time.
+    #[inline(always)]
+    pub fn choose_row(&self, u: Vec2, mis: bool) -> (i32, Vec2) {
         let distribution = self.distribution(mis);
-        let ((column, row), Vec2 { x: u, y: v }) = distribution.choose(u, self.image.width as usize);
-        let corners = self.corners(textures, column, row);
-        let weight = |texel: Vec3| distribution.weight(luminance(texel)).max(f32::MIN_POSITIVE);
-        let (a, b, c, d) = (weight(corners[0]), weight(corners[1]), weight(corners[2]), weight(corners[3]));
-        let down = inverse_linear(v, a + b, c + d);
-        let across = inverse_linear(u, a + (c - a) * down, b + (d - b) * down);
-        let height = self.heights[row] + (self.heights[row + 1] - self.heights[row]) * down;
-        let (sin_phi, cos_phi) = sin_cos_turn((column as f32 + 0.5 + across) / self.image.width as f32);
+        let (row, v) = choose(&distribution.rows, &distribution.row_guide, u.y);
+        prefetch_line(&distribution.column_guides[row * GUIDE + part(step(u.x))]);
+        (row as i32, Vec2::new(u.x, v))
+    }
+
+    /// The cell of that row that the other number chooses, and what is left of both.
+    #[inline(always)]
+    pub fn choose_column(&self, row: i32, u: Vec2, mis: bool) -> Cell {
+        let (distribution, width, row) = (self.distribution(mis), self.image.width as usize, row as usize);
+        let columns = &distribution.columns[row * (width + 1)..][..width + 1];
+        let (column, x) = choose(columns, &distribution.column_guides[row * GUIDE..][..GUIDE], u.x);
+        Cell { column: column as i32, row: row as i32, at: Vec2::new(x, u.y), height: 0.0 }
+    }
+
+    /// Asks for what [`Environment::patch`] will read, ahead of time.
+    #[inline(always)]
+    pub fn prefetch(&self, textures: &Textures, cell: &Cell, mis: bool) {
+        let (column, row, width) = (cell.column as usize, cell.row as usize, self.image.width as usize);
+        for row in [row, row + 1] {
+            textures.prefetch_texel(&self.image, row * width + column);
+        }
+        prefetch_line(&self.distribution(mis).columns[row * (width + 1) + column]);
+    }
+
+    /// What the tables have about a cell.
+    #[inline(always)]
+    pub fn patch(&self, textures: &Textures, cell: &Cell, mis: bool) -> Patch {
+        let (column, row, width) = (cell.column as usize, cell.row as usize, self.image.width as usize);
+        let next = if column + 1 == width { 0 } else { column + 1 };
+        let texel = |x: usize, y: usize| textures.texel(&self.image, y * width + x);
+        Patch {
+            corners: [texel(column, row), texel(next, row), texel(column, row + 1), texel(next, row + 1)],
+            heights: Vec2::new(self.heights[row], self.heights[row + 1]),
+            probability: self.distribution(mis).probability(column, row, width),
+        }
+    }
+}
+
+impl Globe {
+    /// Where a unit direction meets the image.
+    #[inline(always)]
+    pub fn cell(&self, wi: Vec3) -> Cell {
+        let d = self.to_world.transpose() * wi;
+        let width = self.width as f32;
+        let around = atan2(d.x, -d.z) / TAU * width - 0.5;
+        let around = if around < 0.0 { around + width } else { around };
+        let column = (around as i32).min(self.width - 1);
+        let sin2 = d.x * d.x + d.z * d.z;
+        let down = atan2(sin2.sqrt(), d.y) / PI * (self.rows - 1) as f32;
+        let row = (down as i32).min(self.rows - 2);
+        // 1 − cos θ without cancellation.
+        let from_pole = sin2 / (1.0 + d.y.abs());
+        let height = if d.y > 0.0 { from_pole } else { 2.0 - from_pole };
+        Cell { column, row, at: Vec2::new(around - column as f32, down - row as f32), height }
+    }
+
+    /// Radiance at a position in a cell, and the density of [`Globe::direction`] there.
+    #[inline(always)]
+    pub fn radiance(&self, cell: &Cell, patch: &Patch) -> (Vec3, f32) {
+        let [top, bottom] = patch.heights.to_array();
+        self.within(cell.at, ((cell.height - top) / (bottom - top)).clamp(0.0, 1.0), patch)
+    }
+
+    /// A unit direction within a cell that was chosen, and what [`Globe::radiance`] has there.
+    #[inline(always)]
+    pub fn direction(&self, cell: &Cell, patch: &Patch) -> (Vec3, Vec3, f32) {
+        let [top, bottom] = patch.heights.to_array();
+        let weight = |texel: Vec3| self.weight(texel).max(f32::MIN_POSITIVE);
+        let [a, b, c, d] = patch.corners;
+        let (a, b, c, d) = (weight(a), weight(b), weight(c), weight(d));
+        let down = inverse_linear(cell.at.y, a + b, c + d);
+        let across = inverse_linear(cell.at.x, a + (c - a) * down, b + (d - b) * down);
+        let height = top + (bottom - top) * down;
+        let (sin_phi, cos_phi) = sin_cos_turn((cell.column as f32 + 0.5 + across) / self.width as f32);
         let sin_theta = (height * (2.0 - height)).max(0.0).sqrt();
         let theta = atan2(sin_theta, 1.0 - height);
-        let y = (theta / PI * (self.heights.len() - 1) as f32 - row as f32).clamp(0.0, 1.0);
-        let (radiance, pdf) = self.within(&Cell { column, row, x: across, y, height: down }, corners, distribution);
+        let y = (theta / PI * (self.rows - 1) as f32 - cell.row as f32).clamp(0.0, 1.0);
+        let (radiance, pdf) = self.within(Vec2::new(across, y), down, patch);
         let wi = self.to_world * Vec3::new(sin_theta * sin_phi, 1.0 - height, -sin_theta * cos_phi);
         (wi, radiance, pdf)
     }
 
-    /// Asks for the texels that [`Environment::sample`] will read, ahead of time.
+    /// Radiance and density between four texels; `down` is linear in cos θ.
     #[inline(always)]
-    pub fn prefetch(&self, textures: &Textures, u: Vec2, mis: bool) {
-        let ((column, row), _) = self.distribution(mis).choose(u, self.image.width as usize);
-        self.prefetch_cell(textures, column, row);
+    fn within(&self, at: Vec2, down: f32, patch: &Patch) -> (Vec3, f32) {
+        let [a, b, c, d] = patch.corners;
+        let upper = a * (1.0 - at.x) + b * at.x;
+        let lower = c * (1.0 - at.x) + d * at.x;
+        let radiance = (upper * (1.0 - at.y) + lower * at.y) * self.scale;
+
+        let (a, b, c, d) = (self.weight(a), self.weight(b), self.weight(c), self.weight(d));
+        let mean = 0.25 * (a + b + c + d);
+        let upper = a * (1.0 - at.x) + b * at.x;
+        let lower = c * (1.0 - at.x) + d * at.x;
+        let weight = upper * (1.0 - down) + lower * down;
+        let solid_angle = TAU / self.width as f32 * (patch.heights.y - patch.heights.x);
+        let pdf = patch.probability / solid_angle * (weight / mean);
+        (radiance, if mean > 0.0 { pdf } else { 0.0 })
     }
 
-    /// Asks for what [`Environment::at`] will read, ahead of time.
     #[inline(always)]
-    pub fn prefetch_at(&self, textures: &Textures, wi: Vec3, mis: bool) {
-        let Cell { column, row, .. } = self.cell(self.to_world.transpose() * wi);
-        self.prefetch_cell(textures, column, row);
-        prefetch_line(&self.distribution(mis).columns[row * (self.image.width as usize + 1) + column]);
+    fn weight(&self, texel: Vec3) -> f32 {
+        weight(luminance(texel), self.floor)
     }
+}
 
-    #[inline(always)]
-    fn prefetch_cell(&self, textures: &Textures, column: usize, row: usize) {
-        for row in [row, row + 1] {
-            textures.prefetch_texel(&self.image, row * self.image.width as usize + column);
-        }
-    }
-
-    /// Where a direction of the image's space meets it.
-    #[inline(always)]
-    fn cell(&self, d: Vec3) -> Cell {
-        let width = self.image.width as usize;
-        let around = atan2(d.x, -d.z) / TAU * width as f32 - 0.5;
-        let around = if around < 0.0 { around + width as f32 } else { around };
-        let column = (around as usize).min(width - 1);
-        let sin2 = d.x * d.x + d.z * d.z;
-        let down = atan2(sin2.sqrt(), d.y) / PI * (self.heights.len() - 1) as f32;
-        let row = (down as usize).min(self.heights.len() - 2);
-        // 1 − cos θ without cancellation.
-        let from_pole = sin2 / (1.0 + d.y.abs());
-        let height = if d.y > 0.0 { from_pole } else { 2.0 - from_pole };
-        let (top, bottom) = (self.heights[row], self.heights[row + 1]);
-        Cell {
-            column,
-            row,
-            x: around - column as f32,
-            y: down - row as f32,
-            height: ((height - top) / (bottom - top)).clamp(0.0, 1.0),
-        }
-    }
-
-    /// The texels around a cell: upper left and right, lower left and right.
-    #[inline(always)]
-    fn corners(&self, textures: &Textures, column: usize, row: usize) -> [Vec3; 4] {
-        let width = self.image.width as usize;
-        let next = if column + 1 == width { 0 } else { column + 1 };
-        let at = |x: usize, y: usize| textures.texel(&self.image, y * width + x);
-        [at(column, row), at(next, row), at(column, row + 1), at(next, row + 1)]
-    }
+/// What of a luminance counts above a floor.
+#[inline(always)]
+fn weight(luminance: f32, floor: f32) -> f32 {
+    (luminance - floor).max(0.0)
 }
 
 impl Distribution {
@@ -202,9 +268,9 @@ impl Distribution {
         let mut row_weights = Vec::with_capacity(heights.len() - 1);
         let mut weights = vec![0.0; width];
         for (row, pair) in heights.windows(2).enumerate() {
-            let at = |x: usize, y: usize| f64::from(distribution.weight(texels[(row + y) * width + x % width]));
-            for (x, weight) in weights.iter_mut().enumerate() {
-                *weight = 0.25 * (at(x, 0) + at(x + 1, 0) + at(x, 1) + at(x + 1, 1));
+            let at = |x: usize, y: usize| f64::from(weight(texels[(row + y) * width + x % width], floor));
+            for (x, sum) in weights.iter_mut().enumerate() {
+                *sum = 0.25 * (at(x, 0) + at(x + 1, 0) + at(x, 1) + at(x + 1, 1));
             }
             let across = weights.iter().sum::<f64>() / width as f64;
             row_weights.push(across * 0.5 * f64::from(pair[1] - pair[0])); // heights span 0 to 2
@@ -215,20 +281,6 @@ impl Distribution {
         distribution.rows = cumulate(&row_weights);
         distribution.row_guide = guide(&distribution.rows).collect();
         (distribution, row_weights.iter().sum::<f64>() as f32)
-    }
-
-    /// The column and row of the cell that two random numbers fall on, and where in it, in (0, 1).
-    #[inline(always)]
-    fn choose(&self, u: Vec2, width: usize) -> ((usize, usize), Vec2) {
-        let (row, v) = choose(&self.rows, &self.row_guide, u.y);
-        let columns = &self.columns[row * (width + 1)..][..width + 1];
-        let (column, u) = choose(columns, &self.column_guides[row * GUIDE..][..GUIDE], u.x);
-        ((column, row), Vec2::new(u, v))
-    }
-
-    #[inline(always)]
-    fn weight(&self, luminance: f32) -> f32 {
-        (luminance - self.floor).max(0.0)
     }
 
     #[inline(always)]
@@ -265,11 +317,23 @@ fn guide(cumulative: &[u32]) -> impl Iterator<Item = u32> {
     })
 }
 
+/// The step that a random number is.
+#[inline(always)]
+fn step(u: f32) -> u32 {
+    ((u * STEPS as f32) as u32).min(STEPS - 1)
+}
+
+/// The part of a guide that a step is in.
+#[inline(always)]
+fn part(step: u32) -> usize {
+    step as usize / (STEPS as usize / GUIDE)
+}
+
 /// The item that `u` falls on, and where on it, in (0, 1).
 #[inline(always)]
 fn choose(cumulative: &[u32], guide: &[u32], u: f32) -> (usize, f32) {
-    let step = ((u * STEPS as f32) as u32).min(STEPS - 1);
-    let mut item = guide[step as usize / (STEPS as usize / GUIDE)] as usize;
+    let step = step(u);
+    let mut item = guide[part(step)] as usize;
     while item + 2 < cumulative.len() && cumulative[item + 1] <= step {
         item += 1;
     }

@@ -22,6 +22,7 @@ use crate::surface::Surface;
 use crate::texture::Textures;
 use background::Background;
 use choice::Choice;
+pub use environment::{Cell, Environment, Globe, Patch};
 use glam::{Vec2, Vec3};
 use list::Light;
 pub use plain::Plain;
@@ -160,20 +161,19 @@ impl Lights {
         }
     }
 
-    /// Asks for what [`Lights::sample`] will read, ahead of time.
+    /// The image all around, if there is one, and the probability to choose it.
     #[inline(always)]
-    pub fn prefetch(&self, textures: &Textures, light: u32, u: Vec2, mis: bool) {
-        if let (Light::Background, Some((background, _))) = (&self.lights[light as usize], &self.background) {
-            background.prefetch(textures, u, mis);
+    pub fn environment(&self) -> Option<(&Environment, f32)> {
+        match &self.background {
+            Some((Background::Environment(environment), probability)) => Some((environment, *probability)),
+            _ => None,
         }
     }
 
-    /// Asks for what [`Lights::background`] will read, ahead of time.
+    /// Whether the light is what lies beyond the scene.
     #[inline(always)]
-    pub fn prefetch_background(&self, textures: &Textures, wi: Vec3, mis: bool) {
-        if let Some((background, _)) = &self.background {
-            background.prefetch_at(textures, wi, mis);
-        }
+    pub fn is_background(&self, light: u32) -> bool {
+        matches!(self.lights[light as usize], Light::Background)
     }
 
     /// Density in solid angle with which [`Lights::sample`] finds the emitting point `point` from a surface at `from` with the

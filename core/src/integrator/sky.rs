@@ -1,0 +1,242 @@
+//! The image all around a scene, met and sampled by many paths at once.
+
+use super::rows::{Vec2s, Vec3s, WIDTH};
+use super::wave::{State, Wave};
+use super::{Estimator, arrive::found};
+use crate::bvh::simd::{Kernel, Lanes};
+use crate::lights::{Cell, Environment, Globe, LightSample, Patch};
+use crate::witness::{Cause, Event, Witness};
+use crate::world::World;
+
+/// Where on the image paths look, and what they see there.
+pub(super) struct Skies {
+    /// The path looks there at all; else the rest is meaningless.
+    pub is_some: [bool; WIDTH],
+    column: [i32; WIDTH],
+    row: [i32; WIDTH],
+    at: Vec2s,
+    height: [f32; WIDTH],
+    corners: [Vec3s; 4],
+    heights: Vec2s,
+    probability: [f32; WIDTH],
+    radiance: Vec3s,
+    wi: Vec3s,
+    pdf: [f32; WIDTH],
+}
+
+impl Skies {
+    pub const NONE: Self = Self {
+        is_some: [false; WIDTH],
+        column: [0; WIDTH],
+        row: [0; WIDTH],
+        at: Vec2s::ZERO,
+        height: [0.0; WIDTH],
+        corners: [const { Vec3s::ZERO }; 4],
+        heights: Vec2s::ZERO,
+        probability: [0.0; WIDTH],
+        radiance: Vec3s::ZERO,
+        wi: Vec3s::ZERO,
+        pdf: [0.0; WIDTH],
+    };
+
+    #[inline(always)]
+    pub fn set_cell(&mut self, i: usize, cell: &Cell) {
+        (self.column[i], self.row[i], self.height[i]) = (cell.column, cell.row, cell.height);
+        self.at.set(i, cell.at);
+    }
+
+    #[inline(always)]
+    fn cell(&self, i: usize) -> Cell {
+        Cell { column: self.column[i], row: self.row[i], at: self.at.at(i), height: self.height[i] }
+    }
+
+    #[inline(always)]
+    fn set_patch(&mut self, i: usize, patch: &Patch) {
+        self.corners[0].set(i, patch.corners[0]);
+        self.corners[1].set(i, patch.corners[1]);
+        self.corners[2].set(i, patch.corners[2]);
+        self.corners[3].set(i, patch.corners[3]);
+        self.heights.set(i, patch.heights);
+        self.probability[i] = patch.probability;
+    }
+
+    #[inline(always)]
+    fn patch(&self, i: usize) -> Patch {
+        let [a, b, c, d] = &self.corners;
+        let corners = [a.at(i), b.at(i), c.at(i), d.at(i)];
+        Patch { corners, heights: self.heights.at(i), probability: self.probability[i] }
+    }
+}
+
+impl Estimator {
+    /// Finds out where on the image the rays go that hit nothing, and asks for what is there.
+    #[inline(always)]
+    pub(super) fn look_beyond<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize) {
+        wave.sky.is_some = [false; WIDTH];
+        let Some((environment, _)) = world.lights.environment() else { return };
+        let mis = self.strategy.is_mis();
+        lanes.run(Cells(wave, environment.globe(mis)));
+        for k in 0..count {
+            let i = wave.owners[k];
+            let is_hidden = self.integrator.hide_emitters && wave.depth[i] == 0;
+            if wave.hits[k].is_none() && !is_hidden {
+                wave.sky.is_some[i] = true;
+                environment.prefetch(&world.textures, &wave.sky.cell(i), mis);
+            }
+        }
+    }
+
+    /// Gains what those rays see.
+    #[inline(always)]
+    pub(super) fn shine_beyond<L: Lanes, W: Witness>(&self, lanes: L, world: &World, wave: &mut Wave, witness: &mut W) {
+        let Some((environment, probability)) = world.lights.environment() else { return };
+        let mis = self.strategy.is_mis();
+        lanes.run(Patches { world, environment, wave, mis });
+        lanes.run(Radiances(wave, environment.globe(mis)));
+        for i in 0..WIDTH {
+            if !wave.sky.is_some[i] {
+                continue;
+            }
+            wave.state[i] = State::End;
+            let mis = self.weight_of_hit(wave.from.at(i), wave.sky.pdf[i] * probability);
+            found(wave, i, wave.sky.radiance.at(i), mis, witness);
+            witness.see(|| Event::End(Cause::Escaped));
+        }
+    }
+
+    /// Samples the image for the surfaces that have chosen it as their light.
+    #[inline(always)]
+    pub(super) fn sample_sky<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave) {
+        let Some((environment, _)) = world.lights.environment() else { return };
+        let mis = self.strategy.is_mis();
+        lanes.run(Choices { world, environment, wave, mis });
+        lanes.run(Patches { world, environment, wave, mis });
+        lanes.run(Directions(wave, environment.globe(mis)));
+        lanes.run(SkyLights(wave));
+    }
+}
+
+/// Where the rays in hand would meet the image.
+struct Cells<'a, 'w>(&'a mut Wave<'w>, Globe);
+
+impl Kernel for Cells<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self(wave, globe) = self;
+        for i in 0..WIDTH {
+            let cell = globe.cell(wave.direction.at(i));
+            wave.sky.set_cell(i, &cell);
+        }
+    }
+}
+
+/// Reads what the tables have about the cells.
+struct Patches<'a, 'w> {
+    world: &'a World,
+    environment: &'a Environment,
+    wave: &'a mut Wave<'w>,
+    mis: bool,
+}
+
+impl Kernel for Patches<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self { world, environment, wave, mis } = self;
+        for i in 0..WIDTH {
+            if wave.sky.is_some[i] {
+                let patch = environment.patch(&world.textures, &wave.sky.cell(i), mis);
+                wave.sky.set_patch(i, &patch);
+            }
+        }
+    }
+}
+
+/// What the rays see of the image.
+struct Radiances<'a, 'w>(&'a mut Wave<'w>, Globe);
+
+impl Kernel for Radiances<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self(wave, globe) = self;
+        for i in 0..WIDTH {
+            let (radiance, pdf) = globe.radiance(&wave.sky.cell(i), &wave.sky.patch(i));
+            wave.sky.radiance.set(i, radiance);
+            wave.sky.pdf[i] = pdf;
+        }
+    }
+}
+
+/// Chooses cells for those who sample the image.
+struct Choices<'a, 'w> {
+    world: &'a World,
+    environment: &'a Environment,
+    wave: &'a mut Wave<'w>,
+    mis: bool,
+}
+
+impl Kernel for Choices<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self { world, environment, wave, mis } = self;
+        for i in 0..WIDTH {
+            if wave.sky.is_some[i] {
+                let (row, u) = environment.choose_row(wave.lights.u.at(i), mis);
+                wave.sky.row[i] = row;
+                wave.lights.u.set(i, u);
+            }
+        }
+        for i in 0..WIDTH {
+            if wave.sky.is_some[i] {
+                let cell = environment.choose_column(wave.sky.row[i], wave.lights.u.at(i), mis);
+                environment.prefetch(&world.textures, &cell, mis);
+                wave.sky.set_cell(i, &cell);
+            }
+        }
+    }
+}
+
+/// Chooses directions within the cells.
+struct Directions<'a, 'w>(&'a mut Wave<'w>, Globe);
+
+impl Kernel for Directions<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self(wave, globe) = self;
+        for i in 0..WIDTH {
+            let (wi, radiance, pdf) = globe.direction(&wave.sky.cell(i), &wave.sky.patch(i));
+            wave.sky.wi.set(i, wi);
+            wave.sky.radiance.set(i, radiance);
+            wave.sky.pdf[i] = pdf;
+        }
+    }
+}
+
+/// Makes light samples of those directions. (In one loop with [`Directions`] it would not become one of vectors.)
+struct SkyLights<'a, 'w>(&'a mut Wave<'w>);
+
+impl Kernel for SkyLights<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let wave = self.0;
+        for i in 0..WIDTH {
+            let wi = wave.sky.wi.at(i);
+            let pdf = wave.sky.pdf[i] * wave.lights.probability[i];
+            let shadow_ray = wave.surfaces.at(i).ray(wi, f32::INFINITY);
+            let sample = LightSample { wi, weight: wave.sky.radiance.at(i) / pdf, pdf, shadow_ray };
+            wave.lights.set_if(i, &sample, wave.sky.is_some[i]);
+            wave.lights.is_some[i] |= wave.sky.is_some[i] & (pdf > 0.0);
+        }
+    }
+}
