@@ -74,6 +74,15 @@ impl Node {
         self.children[slot] = child.0;
     }
 
+    /// The same boxes, and other children in the place of those.
+    pub(super) fn moved(&self, other: impl Fn(Child) -> Child) -> Node {
+        let mut node = self.clone();
+        for slot in self.occupied() {
+            node.children[slot] = other(self.child(slot)).0;
+        }
+        node
+    }
+
     /// The slots that are not empty.
     pub(super) fn occupied(&self) -> impl Iterator<Item = usize> + '_ {
         (0..WIDTH).filter(|&slot| self.bounds[0][0][slot] <= self.bounds[0][1][slot])

@@ -4,7 +4,7 @@
 //! most `i + 1` trees that hang from one wide node.
 
 use super::super::node::{Bvh8, Child, Leaf, Node, WIDTH};
-use super::super::simd::settled;
+use super::super::simd::with_room;
 use super::binary::{BinaryTree, Twig};
 use super::{Built, LeafCost};
 use rayon::prelude::*;
@@ -144,14 +144,57 @@ impl Costs<'_> {
     }
 }
 
-/// The wide tree that costs least.
-pub fn collapsed(tree: BinaryTree, leaf: LeafCost) -> Built {
+/// Branches of at most so many boxes, emitted one beside another: many more than there are processors, and long enough each.
+pub const GRAIN: u32 = 1 << 14;
+
+/// The wide tree that costs least, emitted in branches of at most `grain` boxes.
+pub fn collapsed(tree: BinaryTree, leaf: LeafCost, grain: u32) -> Built {
     let costs = Costs { tree, leaf };
     let choices = costs.choices();
-    let mut built = Collapse { costs, choices }.emit();
-    // The tree is gone: there is room for a copy.
-    built.bvh.nodes = settled(built.bvh.nodes);
-    built
+    let collapse = Collapse { costs, choices };
+    let top = collapse.emit(collapse.costs.tree.root, grain);
+    let branches: Vec<Branch> = top.cut.par_iter().map(|&(twig, _)| collapse.emit(twig, 0)).collect();
+    // The tree is not needed any more: there is room for a copy.
+    drop(collapse);
+    joined(top, &branches)
+}
+
+/// Part of a wide tree: its root is the first node, and nodes and order are counted from the part's own beginning.
+struct Branch {
+    nodes: Vec<Node>,
+    order: Vec<u32>,
+    /// What is to be emitted yet, and the nodes for which it is the root.
+    cut: Vec<(Twig, usize)>,
+}
+
+/// The tree whose top has these branches.
+fn joined(top: Branch, branches: &[Branch]) -> Built {
+    // All nodes of a branch but its root, which has its place already.
+    let (mut first_nodes, mut first_items) = (vec![top.nodes.len()], vec![top.order.len()]);
+    for (i, branch) in branches.iter().enumerate() {
+        first_nodes.push(first_nodes[i] + branch.nodes.len() - 1);
+        first_items.push(first_items[i] + branch.order.len());
+    }
+    let placed = |branch: usize, index: usize| {
+        let (node, item) = (first_nodes[branch] as u32, first_items[branch] as u32);
+        branches[branch].nodes[index].moved(|child| match child.as_leaf() {
+            Some(leaf) => Child::leaf(Leaf { first: leaf.first + item, ..leaf }),
+            None => Child::node(child.0 + node - 1),
+        })
+    };
+    let mut nodes = with_room(first_nodes[branches.len()]);
+    let node = |i: usize| match first_nodes.partition_point(|&first| first <= i).checked_sub(1) {
+        None => top.nodes[i].clone(),
+        Some(branch) => placed(branch, i - first_nodes[branch] + 1),
+    };
+    (0..first_nodes[branches.len()]).into_par_iter().map(node).collect_into_vec(&mut nodes);
+    for (branch, &(_, root)) in top.cut.iter().enumerate() {
+        nodes[root] = placed(branch, 0);
+    }
+    let mut order = Vec::with_capacity(first_items[branches.len()]);
+    order.extend(top.order);
+    branches.iter().for_each(|branch| order.extend(&branch.order));
+    Built { bvh: Bvh8 { nodes }, order }
 }
 
 /// A binary tree, and how to make a wide one of it.
@@ -208,13 +251,17 @@ impl Collapse<'_> {
         Leaf { first, count: order.len() as u32 - first }
     }
 
-    fn emit(self) -> Built {
-        let mut nodes = vec![Node::EMPTY];
-        let mut order = Vec::with_capacity(self.costs.tree.boxes.len());
-        let mut open = vec![(self.costs.tree.root, 0)];
+    /// The wide tree below a twig, but for what is below twigs of at most `grain` boxes.
+    fn emit(&self, root: Twig, grain: u32) -> Branch {
+        let mut branch = Branch { nodes: vec![Node::EMPTY], order: Vec::new(), cut: Vec::new() };
+        let mut open = vec![(root, 0)];
         let mut roots = Vec::with_capacity(WIDTH);
         let mut promising = Vec::with_capacity(WIDTH);
         while let Some((twig, wide)) = open.pop() {
+            if self.costs.tree.count(twig) <= grain {
+                branch.cut.push((twig, wide));
+                continue;
+            }
             roots.clear();
             match twig.index() {
                 Err(inner) if !self.is_leaf(twig) => self.roots_below(inner, WIDTH, &mut roots),
@@ -227,17 +274,17 @@ impl Collapse<'_> {
             let opened = open.len();
             for (slot, &(_, below)) in promising.iter().enumerate() {
                 let child = if self.is_leaf(below) {
-                    Child::leaf(self.leaf_at(below, &mut order))
+                    Child::leaf(self.leaf_at(below, &mut branch.order))
                 } else {
                     // The nodes below one node lie side by side.
-                    nodes.push(Node::EMPTY);
-                    open.push((below, nodes.len() - 1));
-                    Child::node(nodes.len() as u32 - 1)
+                    branch.nodes.push(Node::EMPTY);
+                    open.push((below, branch.nodes.len() - 1));
+                    Child::node(branch.nodes.len() as u32 - 1)
                 };
-                nodes[wide].set(slot, self.costs.tree.bounds(below), child);
+                branch.nodes[wide].set(slot, self.costs.tree.bounds(below), child);
             }
             open[opened..].reverse();
         }
-        Built { bvh: Bvh8 { nodes }, order }
+        branch
     }
 }

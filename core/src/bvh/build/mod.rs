@@ -13,7 +13,7 @@ mod tests;
 use super::Aabb;
 use super::node::{Bvh8, Node};
 use binary::balanced_tree;
-use collapse::collapsed;
+use collapse::{GRAIN, collapsed};
 use parts::{Sizes, binary_tree};
 
 /// What a leaf costs and may hold.
@@ -44,13 +44,13 @@ impl Built {
         }
         let all = boxes.iter().fold(Aabb::EMPTY, |all, &b| all.union(b));
         if (all.half_area() * boxes.len() as f32).is_finite() {
-            let built = collapsed(binary_tree(boxes, Sizes::USUAL), leaf);
+            let built = collapsed(binary_tree(boxes, Sizes::USUAL), leaf, GRAIN);
             if built.bvh.stack_need() <= Bvh8::STACK {
                 return built;
             }
         }
         // Boxes whose sizes grow geometrically make chains, and areas beyond f32 cannot be compared. A balanced tree is
         // worse to trace and never deep.
-        collapsed(balanced_tree(boxes), leaf)
+        collapsed(balanced_tree(boxes), leaf, GRAIN)
     }
 }

@@ -50,7 +50,8 @@ impl<L: Lanes> Leaves<L> for Shown<'_> {
     }
 }
 
-/// Whether the tree is built whole or in parts. Fails where trees of a part are not moved to their place.
+/// Whether the tree is built whole or in parts, and emitted whole or in branches, the smallest of which are leaves' parents. Fails where
+/// trees of a part, or nodes or items of a branch, are not moved to their place.
 #[test]
 fn leaves_may_hold_anything() {
     let boxes: Vec<Aabb> = (0..200)
@@ -61,7 +62,10 @@ fn leaves_may_hold_anything() {
         .collect();
     let leaf = LeafCost { max_count: 3, block: 1, block_cost: 1.0 };
     for (part, trees) in [(200, 1), (150, 1), (150, 8), (30, 5), (8, 100)] {
-        shows_what_is_passed(&collapsed(binary_tree(&boxes, Sizes { boxes: part, trees }), leaf), &boxes);
+        for grain in [0, 4, 50, 200] {
+            let tree = binary_tree(&boxes, Sizes { boxes: part, trees });
+            shows_what_is_passed(&collapsed(tree, leaf, grain), &boxes);
+        }
     }
 }
 

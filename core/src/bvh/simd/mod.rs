@@ -16,7 +16,7 @@ mod x86;
 pub use x86::{Avx2, Avx512};
 
 pub(crate) use memory::prefetch_line;
-pub(super) use memory::{Stack, StackMemory, prefetch, prefetch_lines, settled, with_room};
+pub(super) use memory::{Stack, StackMemory, prefetch, prefetch_lines, with_room};
 pub use portable::Portable;
 
 /// `N` lanes of f32.
