@@ -42,6 +42,12 @@ impl Microfacet {
         Self { distribution, alpha: alpha.max(Vec2::splat(ALPHA_MIN)) }
     }
 
+    /// The roughness of GGX facets that are as rough along both tangents.
+    #[inline(always)]
+    pub fn round_ggx(&self) -> Option<f32> {
+        (self.distribution == Distribution::Ggx && self.alpha.x == self.alpha.y).then_some(self.alpha.x)
+    }
+
     /// D(m): area of facets with this normal, a unit of surface and solid angle.
     #[inline(always)]
     pub fn density(&self, m: Vec3) -> f32 {

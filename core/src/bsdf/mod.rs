@@ -31,7 +31,7 @@ pub use principled::Principled;
 pub use principledthin::PrincipledThin;
 pub use roughconductor::RoughConductor;
 pub use roughdielectric::RoughDielectric;
-pub use roughplastic::{RoughCoat, RoughPlastic};
+pub use roughplastic::{RoughCoat, RoughPlastic, SeenPlastic};
 pub use thindielectric::ThinDielectric;
 
 use glam::{Vec2, Vec3};

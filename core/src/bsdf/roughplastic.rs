@@ -48,21 +48,33 @@ impl<'a> RoughPlastic<'a> {
         Self { coat, base, specular_reflectance, preference }
     }
 
+    /// What matters of it to all directions from one that it is seen from.
+    #[inline(always)]
+    pub fn seen_from(&self, wo: Vec3) -> SeenPlastic {
+        let enters = self.transmittance(wo.z);
+        SeenPlastic {
+            facets: self.coat.facets,
+            eta: self.coat.eta,
+            base: self.base,
+            specular_reflectance: self.specular_reflectance,
+            enters,
+            share: share_of_mirror(1.0 - enters, self.preference),
+        }
+    }
+
+    /// Share of the light at this cosine that passes the coat.
+    #[inline(always)]
+    pub fn transmittance(&self, cos: f32) -> f32 {
+        self.coat.transmittance(cos)
+    }
+
     /// The coat's reflection and the base's, and the density of choosing between facets and cosine.
     #[inline(always)]
     pub fn eval(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         if !both_above(wo, wi) {
             return Evaluation::default();
         }
-        let Some(m) = half_reflected(wo, wi) else { return Evaluation::default() };
-        let Scattering { value, pdf, .. } = self.coat.facets.reflection(wo, wi, m);
-        let reflectance = fresnel::dielectric(wo.dot(m), self.coat.eta).reflectance;
-        let (enters, leaves) = (self.coat.transmittance(wo.z), self.coat.transmittance(wi.z));
-        let share = share_of_mirror(1.0 - enters, self.preference);
-        Evaluation {
-            value: self.specular_reflectance * (reflectance * value) + self.base * (enters * leaves * FRAC_1_PI * wi.z),
-            pdf: share * pdf + (1.0 - share) * cosine_hemisphere_pdf(wi.z),
-        }
+        self.seen_from(wo).eval(wo, wi, self.transmittance(wi.z))
     }
 
     /// Off a visible facet, or from the base by the cosine.
@@ -71,11 +83,57 @@ impl<'a> RoughPlastic<'a> {
         if wo.z <= 0.0 {
             return None;
         }
-        let share = share_of_mirror(1.0 - self.coat.transmittance(wo.z), self.preference);
-        let wi =
-            if lobe < share { reflected(wo, self.coat.facets.sample_reflection(wo, u)) } else { cosine_hemisphere(u) };
-        let Evaluation { value, pdf } = self.eval(wo, wi);
-        (pdf > 0.0).then(|| Sample { wi, weight: value / pdf, pdf, eta: 1.0 })
+        let seen = self.seen_from(wo);
+        let wi = seen.direction(wo, lobe, u);
+        let (sample, is_some) = seen.sample(wo, wi, self.transmittance(wi.z));
+        is_some.then_some(sample)
+    }
+}
+
+/// A rough plastic seen from one direction, without its table: for loops over many surfaces.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenPlastic {
+    /// The coat's facets.
+    pub facets: Microfacet,
+    /// Index of refraction of the coat over that outside.
+    pub eta: f32,
+    /// Albedo of the base as it would look from within, over η².
+    pub base: Vec3,
+    /// Factor on the coat's reflection.
+    pub specular_reflectance: Vec3,
+    /// Share of the light from there that enters.
+    pub enters: f32,
+    /// Probability to choose the coat.
+    pub share: f32,
+}
+
+impl SeenPlastic {
+    /// As [`RoughPlastic::eval`]; of the light from `wi` the share `leaves` would pass the coat.
+    #[inline(always)]
+    pub fn eval(&self, wo: Vec3, wi: Vec3, leaves: f32) -> Evaluation {
+        let half = half_reflected(wo, wi);
+        let m = half.unwrap_or(Vec3::Z);
+        let is_some = both_above(wo, wi) & half.is_some();
+        let Scattering { value, pdf, .. } = self.facets.reflection(wo, wi, m);
+        let reflectance = fresnel::dielectric(wo.dot(m), self.eta).reflectance;
+        let value =
+            self.specular_reflectance * (reflectance * value) + self.base * (self.enters * leaves * FRAC_1_PI * wi.z);
+        let pdf = self.share * pdf + (1.0 - self.share) * cosine_hemisphere_pdf(wi.z);
+        Evaluation { value: if is_some { value } else { Vec3::ZERO }, pdf: if is_some { pdf } else { 0.0 } }
+    }
+
+    /// A direction, to be followed by [`SeenPlastic::sample`].
+    #[inline(always)]
+    pub fn direction(&self, wo: Vec3, lobe: f32, u: Vec2) -> Vec3 {
+        let (off_facet, from_base) = (reflected(wo, self.facets.sample_reflection(wo, u)), cosine_hemisphere(u));
+        if lobe < self.share { off_facet } else { from_base }
+    }
+
+    /// What that direction is worth, and whether it is one.
+    #[inline(always)]
+    pub fn sample(&self, wo: Vec3, wi: Vec3, leaves: f32) -> (Sample, bool) {
+        let Evaluation { value, pdf } = self.eval(wo, wi, leaves);
+        (Sample { wi, weight: value / pdf, pdf, eta: 1.0 }, (wo.z > 0.0) & (pdf > 0.0))
     }
 }
 

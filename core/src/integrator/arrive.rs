@@ -213,6 +213,7 @@ impl Estimator {
         }
         wave.state[i] = State::Surface;
         wave.is_diffuse[i] = false;
+        wave.coats.is_some[i] = false;
         let shape = wave.surfaces.shape[i];
         if let Some(lambert) = world.materials.lambert(shape) {
             let back = lambert.back.filter(|_| wave.is_turned[i]);
@@ -234,6 +235,7 @@ impl Estimator {
             wave.is_diffuse[i] = true;
             wave.albedo.set(i, diffuse.reflectance);
         }
+        wave.lay_out_coat(i);
     }
 }
 

@@ -9,6 +9,7 @@
 //! - `whitted`: one segment after the first surface that is neither mirror nor glass.
 
 mod arrive;
+mod coats;
 pub(crate) mod rows;
 mod scatter;
 mod sky;

@@ -186,12 +186,7 @@ pub(super) struct LightSamples {
 impl LightSamples {
     #[inline(always)]
     pub fn set(&mut self, i: usize, sample: &LightSample) {
-        self.wi.set(i, sample.wi);
-        self.weight.set(i, sample.weight);
-        self.pdf[i] = sample.pdf;
-        self.origin.set(i, sample.shadow_ray.origin);
-        self.direction.set(i, sample.shadow_ray.direction);
-        self.t_max[i] = sample.shadow_ray.t_max;
+        self.set_if(i, sample, true);
     }
 
     /// Keeps a sample, or the one that is there, without a branch.
@@ -219,12 +214,19 @@ pub(super) struct Samples {
 impl Samples {
     /// Keeps a direction of the frame's space, or that there is none.
     #[inline(always)]
-    pub fn set(&mut self, i: usize, Sample { wi, weight, pdf, eta }: Sample, is_some: bool, frame: &Frame) {
-        self.is_some[i] = is_some;
-        self.wi.set(i, frame.to_world(wi));
-        self.weight.set(i, weight);
-        self.pdf[i] = pdf;
-        self.eta[i] = eta;
+    pub fn set(&mut self, i: usize, sample: Sample, is_some: bool, frame: &Frame) {
+        self.set_if(i, sample, is_some, frame, true);
+    }
+
+    /// Keeps a direction, or the one that is there, without a branch.
+    #[inline(always)]
+    pub fn set_if(&mut self, i: usize, sample: Sample, is_some: bool, frame: &Frame, really: bool) {
+        let wi = frame.to_world(sample.wi);
+        self.is_some[i] = if really { is_some } else { self.is_some[i] };
+        self.wi.set(i, if really { wi } else { self.wi.at(i) });
+        self.weight.set(i, if really { sample.weight } else { self.weight.at(i) });
+        self.pdf[i] = if really { sample.pdf } else { self.pdf[i] };
+        self.eta[i] = if really { sample.eta } else { self.eta[i] };
     }
 }
 

@@ -27,15 +27,17 @@ impl Estimator {
     ) {
         let chooses = world.lights.needs_choice();
         lanes.run(Draw { wave, like: *like, branch, chooses });
-        let mut count = 0;
+        let (mut count, mut has_coats) = (0, false);
         for i in 0..WIDTH {
             wave.chosen[count] = i;
-            count += usize::from(wave.state[i] == State::Surface);
+            let is_chosen = wave.state[i] == State::Surface;
+            count += usize::from(is_chosen);
+            has_coats |= is_chosen & wave.coats.is_some[i];
         }
         if (self.strategy == Strategy::Light || self.strategy.is_mis()) && !world.lights.is_empty() {
-            self.direct(lanes, world, wave, count, witness);
+            self.direct(lanes, world, wave, count, has_coats, witness);
         }
-        self.choose_directions(lanes, wave, count);
+        self.choose_directions(lanes, wave, count, has_coats);
         lanes.run(Step(wave));
         for k in 0..count {
             self.go_on(wave, wave.chosen[k], witness);
@@ -44,7 +46,15 @@ impl Estimator {
 
     /// Next-event estimation: light from one point of one light, if the way is free.
     #[inline(always)]
-    fn direct<L: Lanes, W: Witness>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize, witness: &mut W) {
+    fn direct<L: Lanes, W: Witness>(
+        &self,
+        lanes: L,
+        world: &World,
+        wave: &mut Wave,
+        count: usize,
+        has_coats: bool,
+        witness: &mut W,
+    ) {
         let with_bsdf = self.strategy.is_mis();
         let Kinds { plain, sky } = lanes.run(ChooseLights { world, wave, count });
         if plain > 0 {
@@ -57,16 +67,19 @@ impl Estimator {
             lanes.run(OtherLights { world, wave, count, with_bsdf });
         }
         lanes.run(Evaluate(wave, with_bsdf));
+        if has_coats {
+            wave.evaluate_coats(lanes, count, with_bsdf);
+        }
         let mut rays = 0;
         for k in 0..count {
             let i = wave.chosen[k];
             if !wave.lights.is_some[i] {
                 continue;
             }
-            if !wave.is_diffuse[i] {
+            if !wave.is_diffuse[i] && !wave.coats.is_some[i] {
                 let (shading, wo, wi) = (&wave.shadings[i], wave.wo.at(i), wave.lights.wi.at(i));
-                let Evaluation { value, pdf } = lanes.run(Eval { shading, wo, wi });
-                weigh(wave, i, value, pdf, with_bsdf);
+                let evaluation = lanes.run(Eval { shading, wo, wi });
+                weigh(wave, i, evaluation, with_bsdf);
             }
             let lights = &wave.lights;
             if lights.value.at(i) == Vec3::ZERO {
@@ -100,14 +113,17 @@ impl Estimator {
 
     /// Chooses a direction for every path. Mirrors and glass have theirs whatever the strategy.
     #[inline(always)]
-    fn choose_directions<L: Lanes>(&self, lanes: L, wave: &mut Wave, count: usize) {
+    fn choose_directions<L: Lanes>(&self, lanes: L, wave: &mut Wave, count: usize, has_coats: bool) {
         let by_bsdf = matches!(self.strategy, Strategy::Bsdf | Strategy::Light | Strategy::Mis);
         if by_bsdf {
             lanes.run(Directions(wave));
+            if has_coats {
+                wave.sample_coats(lanes, count);
+            }
         }
         for k in 0..count {
             let i = wave.chosen[k];
-            if by_bsdf && wave.is_diffuse[i] {
+            if by_bsdf && (wave.is_diffuse[i] || wave.coats.is_some[i]) {
                 continue;
             }
             if wave.is_diffuse[i] {
@@ -376,8 +392,8 @@ impl Kernel for Evaluate<'_, '_> {
         for i in 0..WIDTH {
             let diffuse = Diffuse { reflectance: wave.albedo.at(i) };
             let wi = wave.frame.at(i).to_local(wave.lights.wi.at(i));
-            let Evaluation { value, pdf } = diffuse.eval(wave.wo.at(i), wi);
-            weigh(wave, i, value, pdf, with_bsdf);
+            let evaluation = diffuse.eval(wave.wo.at(i), wi);
+            weigh(wave, i, evaluation, with_bsdf);
         }
     }
 }
@@ -401,12 +417,25 @@ impl Kernel for Directions<'_, '_> {
 
 /// What a surface makes of the light that was sampled for it.
 #[inline(always)]
-fn weigh(wave: &mut Wave, i: usize, value: Vec3, pdf: f32, with_bsdf: bool) {
+fn weigh(wave: &mut Wave, i: usize, evaluation: Evaluation, with_bsdf: bool) {
+    weigh_if(wave, i, evaluation, with_bsdf, true);
+}
+
+/// The same, or what is there already, without a branch.
+#[inline(always)]
+pub(super) fn weigh_if(
+    wave: &mut Wave,
+    i: usize,
+    Evaluation { value, pdf }: Evaluation,
+    with_bsdf: bool,
+    really: bool,
+) {
     let lights = &mut wave.lights;
     let mis = if with_bsdf { power_heuristic(lights.pdf[i], pdf) } else { 1.0 };
-    lights.value.set(i, value * lights.weight.at(i) * mis);
-    lights.bsdf_pdf[i] = pdf;
-    lights.mis[i] = mis;
+    let value = value * lights.weight.at(i) * mis;
+    lights.value.set(i, if really { value } else { lights.value.at(i) });
+    lights.bsdf_pdf[i] = if really { pdf } else { lights.bsdf_pdf[i] };
+    lights.mis[i] = if really { mis } else { lights.mis[i] };
 }
 
 /// No direction.

@@ -1,5 +1,6 @@
 //! Many paths at once, laid out for loops over all of them.
 
+use super::coats::Coats;
 use super::rows::{
     Frames, LightSamples, NONE, Numbers, Origins, Samples, Stem, Surfaces, Triangles, Vec2s, Vec3s, WIDTH,
 };
@@ -76,6 +77,7 @@ pub(super) struct Wave<'w> {
     pub shadings: [Shading<'w>; WIDTH],
     pub is_diffuse: [bool; WIDTH],
     pub albedo: Vec3s,
+    pub coats: Coats,
 
     pub numbers: Numbers,
     /// The light that was chosen, or [`NONE`]; whether it is plain; and what comes from there.
@@ -137,6 +139,7 @@ impl<'w> Wave<'w> {
             shadings: [Shading { closure: Closure::Null, frame: Frame::around(Vec3::Z), tilt: None }; WIDTH],
             is_diffuse: [false; WIDTH],
             albedo: Vec3s::ZERO,
+            coats: Coats::NONE,
             numbers: Numbers {
                 lobe: [0.0; WIDTH],
                 direction: Vec2s::ZERO,
