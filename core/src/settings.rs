@@ -215,14 +215,6 @@ pub enum Strategy {
     Mis,
 }
 
-impl Strategy {
-    /// Both light and BSDF are sampled, and weighed against each other.
-    #[inline]
-    pub fn is_mis(self) -> bool {
-        self == Strategy::Mis
-    }
-}
-
 /// Where random numbers come from; each is a function of (seed, pixel, sample index, dimension).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SamplerKind {

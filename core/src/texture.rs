@@ -143,7 +143,8 @@ impl Textures {
         let p = p - Vec2::splat(0.5);
         let corner = Vec2::new(floor(p.x), floor(p.y));
         let [left, right] = neighbours(corner.x, image.width, wrap);
-        let [upper, lower] = neighbours(corner.y, image.height, wrap).map(|row| row * image.width as usize);
+        let [upper, lower] = neighbours(corner.y, image.height, wrap);
+        let (upper, lower) = (upper * image.width as usize, lower * image.width as usize);
         Cell {
             upper: [self.texel(image, upper + left), self.texel(image, upper + right)],
             lower: [self.texel(image, lower + left), self.texel(image, lower + right)],
@@ -216,13 +217,15 @@ fn floor(x: f32) -> f32 {
 /// A texel coordinate and the next one, both brought into 0..size.
 #[inline(always)]
 fn neighbours(x: f32, size: u32, wrap: WrapMode) -> [usize; 2] {
-    if x.abs() < EXACT && wrap == WrapMode::Repeat {
-        // Of i32, whose division takes half as long as that of i64.
-        let (i, n) = (x as i32, size as i32);
-        let i = if (0..n).contains(&i) { i } else { i.rem_euclid(n) };
-        return [i as usize, if i + 1 == n { 0 } else { i as usize + 1 }];
-    }
-    [wrapped(x, size, wrap) as usize, wrapped(x + 1.0, size, wrap) as usize]
+    let i = wrapped(x, size, wrap);
+    let next = if wrap != WrapMode::Repeat || x.abs() >= EXACT {
+        wrapped(x + 1.0, size, wrap)
+    } else if i + 1 == size {
+        0
+    } else {
+        i + 1
+    };
+    [i as usize, next as usize]
 }
 
 /// Integers below this have a next one that is exact, too.
@@ -237,7 +240,11 @@ fn wrapped(x: f32, size: u32, wrap: WrapMode) -> u32 {
         return i as u32; // No division: this is the rule.
     }
     let inside = match wrap {
-        WrapMode::Repeat => i.rem_euclid(n),
+        // That of i32 takes half as long.
+        WrapMode::Repeat => match (i32::try_from(i), i32::try_from(n)) {
+            (Ok(i), Ok(n)) => i64::from(i.rem_euclid(n)),
+            _ => i.rem_euclid(n),
+        },
         WrapMode::Clamp => i.clamp(0, n - 1),
         WrapMode::Mirror => {
             let j = i.rem_euclid(2 * n);
@@ -250,4 +257,33 @@ fn wrapped(x: f32, size: u32, wrap: WrapMode) -> u32 {
 /// The sRGB curve, decoding.
 pub fn srgb_to_linear(x: f64) -> f64 {
     if x <= 0.04045 { x / 12.92 } else { libm::pow((x + 0.055) / 1.055, 2.4) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A texel and the next one, by the definition of each mode, far beyond both edges and where f32 has no next integer. Fails where
+    /// the last texel of a repeated image is followed by one beyond it.
+    #[test]
+    fn neighbours_are_brought_into_the_image() {
+        for size in [1_u32, 2, 3, 689, 4096] {
+            let n = f64::from(size);
+            let repeated = |x: f64| x - (x / n).floor() * n;
+            let clamped = |x: f64| x.clamp(0.0, n - 1.0);
+            let mirrored = |x: f64| {
+                let x = x - (x / (2.0 * n)).floor() * 2.0 * n;
+                if x < n { x } else { 2.0 * n - 1.0 - x }
+            };
+            for x in (-3000..3000).map(|i| i as f32).chain([-3e9, 3e9, 16_777_214.0, 16_777_215.0, 16_777_216.0]) {
+                let both = [f64::from(x), f64::from(x + 1.0)];
+                let check = |wrap, expected: [f64; 2]| {
+                    assert_eq!(neighbours(x, size, wrap).map(|i| i as f64), expected, "{x} of {size}, {wrap:?}");
+                };
+                check(WrapMode::Repeat, both.map(repeated));
+                check(WrapMode::Clamp, both.map(clamped));
+                check(WrapMode::Mirror, both.map(mirrored));
+            }
+        }
+    }
 }

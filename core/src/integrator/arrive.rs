@@ -29,7 +29,7 @@ impl Estimator {
     ) {
         let count = self.trace(lanes, world, wave, witness);
         world.geometry.prefetch(&wave.hits[..count]);
-        self.look_beyond(lanes, world, wave, count);
+        let beyond = self.look_beyond(lanes, world, wave, count);
         let mut arrived = 0;
         for k in 0..count {
             let i = wave.owners[k];
@@ -64,7 +64,9 @@ impl Estimator {
             (wave.owners[arrived], wave.hits[arrived], wave.rays[arrived]) = (i, Some(hit), wave.rays[k]);
             arrived += 1;
         }
-        self.shine_beyond(lanes, world, wave, witness);
+        if let Some(beyond) = beyond {
+            self.shine_beyond(lanes, beyond, wave, witness);
+        }
         if arrived == 0 {
             return; // What branches have in common stays as it is.
         }

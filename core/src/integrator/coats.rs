@@ -82,7 +82,7 @@ impl Wave<'_> {
     /// Evaluates all of them for the light that was sampled.
     #[inline(always)]
     pub fn evaluate_coats<L: Lanes>(&mut self, lanes: L, count: usize, with_bsdf: bool) {
-        self.look_up_leaves(count, |wave, i| wave.frame.n.at(i).dot(wave.lights.wi.at(i)));
+        self.look_up_leaves(count, |wave, i| wave.towards_light(i).z);
         lanes.run(Evaluate(self, with_bsdf));
     }
 
@@ -104,8 +104,7 @@ impl Kernel for Evaluate<'_, '_> {
     fn run<L: Lanes>(self, _: L) {
         let Self(wave, with_bsdf) = self;
         for i in 0..WIDTH {
-            let wi = wave.frame.at(i).to_local(wave.lights.wi.at(i));
-            let evaluation = wave.coat(i).eval(wave.wo.at(i), wi, wave.coats.leaves[i]);
+            let evaluation = wave.coat(i).eval(wave.wo.at(i), wave.towards_light(i), wave.coats.leaves[i]);
             weigh_if(wave, i, evaluation, with_bsdf, wave.coats.is_some[i]);
         }
     }

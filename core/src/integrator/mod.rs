@@ -171,7 +171,7 @@ impl Estimator {
     /// Radiance from beyond the scene, and its weight.
     #[inline(always)]
     fn background(&self, world: &World, origin: Origin, wi: Vec3) -> Option<(Vec3, f32)> {
-        let (radiance, pdf) = world.lights.background(&world.textures, wi, self.strategy.is_mis())?;
+        let (radiance, pdf) = world.lights.background(&world.textures, wi, self.strategy == Strategy::Mis)?;
         Some((radiance, self.weight_of_hit(origin, pdf)))
     }
 
@@ -179,7 +179,7 @@ impl Estimator {
     #[inline(always)]
     fn emitted(&self, world: &World, surface: &Surface, light: u32, origin: Origin, wo: Vec3) -> (Vec3, f32) {
         let emitted = world.lights.emitted(&world.textures, surface, light, wo);
-        if emitted == Vec3::ZERO || !self.strategy.is_mis() || origin.pdf == f32::INFINITY {
+        if emitted == Vec3::ZERO || self.strategy != Strategy::Mis || origin.pdf == f32::INFINITY {
             return (emitted, self.weight_of_hit(origin, 0.0));
         }
         let light_pdf = world.lights.pdf(&world.geometry, origin.position, origin.normal, surface, light);

@@ -34,7 +34,7 @@ impl Estimator {
             count += usize::from(is_chosen);
             has_coats |= is_chosen & wave.coats.is_some[i];
         }
-        if (self.strategy == Strategy::Light || self.strategy.is_mis()) && !world.lights.is_empty() {
+        if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !world.lights.is_empty() {
             self.direct(lanes, world, wave, count, has_coats, witness);
         }
         self.choose_directions(lanes, wave, count, has_coats);
@@ -55,7 +55,7 @@ impl Estimator {
         has_coats: bool,
         witness: &mut W,
     ) {
-        let with_bsdf = self.strategy.is_mis();
+        let with_bsdf = self.strategy == Strategy::Mis;
         let Kinds { plain, sky } = lanes.run(ChooseLights { world, wave, count });
         if plain > 0 {
             lanes.run(PlainLights(wave));
@@ -391,8 +391,7 @@ impl Kernel for Evaluate<'_, '_> {
         let Self(wave, with_bsdf) = self;
         for i in 0..WIDTH {
             let diffuse = Diffuse { reflectance: wave.albedo.at(i) };
-            let wi = wave.frame.at(i).to_local(wave.lights.wi.at(i));
-            let evaluation = diffuse.eval(wave.wo.at(i), wi);
+            let evaluation = diffuse.eval(wave.wo.at(i), wave.towards_light(i));
             weigh(wave, i, evaluation, with_bsdf);
         }
     }

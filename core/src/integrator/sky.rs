@@ -5,6 +5,8 @@ use super::wave::{State, Wave};
 use super::{Estimator, arrive::found};
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::lights::{Cell, Environment, Globe, LightSample, Patch};
+use crate::settings::Strategy;
+use crate::texture::Textures;
 use crate::witness::{Cause, Event, Witness};
 use crate::world::World;
 
@@ -40,7 +42,7 @@ impl Skies {
     };
 
     #[inline(always)]
-    pub fn set_cell(&mut self, i: usize, cell: &Cell) {
+    fn set_cell(&mut self, i: usize, cell: &Cell) {
         (self.column[i], self.row[i], self.height[i]) = (cell.column, cell.row, cell.height);
         self.at.set(i, cell.at);
     }
@@ -68,37 +70,78 @@ impl Skies {
     }
 }
 
-impl Estimator {
-    /// Finds out where on the image the rays go that hit nothing, and asks for what is there.
+/// The image, and how it is sampled.
+#[derive(Clone, Copy)]
+pub(super) struct Around<'a> {
+    textures: &'a Textures,
+    environment: &'a Environment,
+    /// The probability to choose it among all lights.
+    probability: f32,
+    /// Its directions are sampled by BSDFs, too.
+    mis: bool,
+}
+
+impl Around<'_> {
     #[inline(always)]
-    pub(super) fn look_beyond<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize) {
+    fn globe(&self) -> Globe {
+        self.environment.globe(self.mis)
+    }
+}
+
+impl Estimator {
+    #[inline(always)]
+    fn around<'a>(&self, world: &'a World) -> Option<Around<'a>> {
+        let (environment, probability) = world.lights.environment()?;
+        Some(Around { textures: &world.textures, environment, probability, mis: self.strategy == Strategy::Mis })
+    }
+
+    /// Finds out where on the image the rays go that hit nothing, and asks for what is there. None if there are no such rays.
+    #[inline(always)]
+    pub(super) fn look_beyond<'a, L: Lanes>(
+        &self,
+        lanes: L,
+        world: &'a World,
+        wave: &mut Wave,
+        count: usize,
+    ) -> Option<Around<'a>> {
         wave.sky.is_some = [false; WIDTH];
-        let Some((environment, _)) = world.lights.environment() else { return };
-        let mis = self.strategy.is_mis();
-        lanes.run(Cells(wave, environment.globe(mis)));
+        let around = self.around(world)?;
+        let mut any = false;
         for k in 0..count {
             let i = wave.owners[k];
             let is_hidden = self.integrator.hide_emitters && wave.depth[i] == 0;
-            if wave.hits[k].is_none() && !is_hidden {
-                wave.sky.is_some[i] = true;
-                environment.prefetch(&world.textures, &wave.sky.cell(i), mis);
+            wave.sky.is_some[i] = wave.hits[k].is_none() && !is_hidden;
+            any |= wave.sky.is_some[i];
+        }
+        if !any {
+            return None;
+        }
+        lanes.run(Cells(wave, around.globe()));
+        for i in 0..WIDTH {
+            if wave.sky.is_some[i] {
+                around.environment.prefetch(around.textures, &wave.sky.cell(i), around.mis);
             }
         }
+        Some(around)
     }
 
     /// Gains what those rays see.
     #[inline(always)]
-    pub(super) fn shine_beyond<L: Lanes, W: Witness>(&self, lanes: L, world: &World, wave: &mut Wave, witness: &mut W) {
-        let Some((environment, probability)) = world.lights.environment() else { return };
-        let mis = self.strategy.is_mis();
-        lanes.run(Patches { world, environment, wave, mis });
-        lanes.run(Radiances(wave, environment.globe(mis)));
+    pub(super) fn shine_beyond<L: Lanes, W: Witness>(
+        &self,
+        lanes: L,
+        around: Around,
+        wave: &mut Wave,
+        witness: &mut W,
+    ) {
+        lanes.run(Patches(wave, around));
+        lanes.run(Radiances(wave, around.globe()));
         for i in 0..WIDTH {
             if !wave.sky.is_some[i] {
                 continue;
             }
             wave.state[i] = State::End;
-            let mis = self.weight_of_hit(wave.from.at(i), wave.sky.pdf[i] * probability);
+            let mis = self.weight_of_hit(wave.from.at(i), wave.sky.pdf[i] * around.probability);
             found(wave, i, wave.sky.radiance.at(i), mis, witness);
             witness.see(|| Event::End(Cause::Escaped));
         }
@@ -107,11 +150,10 @@ impl Estimator {
     /// Samples the image for the surfaces that have chosen it as their light.
     #[inline(always)]
     pub(super) fn sample_sky<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave) {
-        let Some((environment, _)) = world.lights.environment() else { return };
-        let mis = self.strategy.is_mis();
-        lanes.run(Choices { world, environment, wave, mis });
-        lanes.run(Patches { world, environment, wave, mis });
-        lanes.run(Directions(wave, environment.globe(mis)));
+        let Some(around) = self.around(world) else { return };
+        lanes.run(Choices(wave, around));
+        lanes.run(Patches(wave, around));
+        lanes.run(Directions(wave, around.globe()));
         lanes.run(SkyLights(wave));
     }
 }
@@ -133,22 +175,17 @@ impl Kernel for Cells<'_, '_> {
 }
 
 /// Reads what the tables have about the cells.
-struct Patches<'a, 'w> {
-    world: &'a World,
-    environment: &'a Environment,
-    wave: &'a mut Wave<'w>,
-    mis: bool,
-}
+struct Patches<'a, 'w>(&'a mut Wave<'w>, Around<'a>);
 
 impl Kernel for Patches<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
-        let Self { world, environment, wave, mis } = self;
+        let Self(wave, Around { textures, environment, mis, .. }) = self;
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
-                let patch = environment.patch(&world.textures, &wave.sky.cell(i), mis);
+                let patch = environment.patch(textures, &wave.sky.cell(i), mis);
                 wave.sky.set_patch(i, &patch);
             }
         }
@@ -173,19 +210,14 @@ impl Kernel for Radiances<'_, '_> {
 }
 
 /// Chooses cells for those who sample the image.
-struct Choices<'a, 'w> {
-    world: &'a World,
-    environment: &'a Environment,
-    wave: &'a mut Wave<'w>,
-    mis: bool,
-}
+struct Choices<'a, 'w>(&'a mut Wave<'w>, Around<'a>);
 
 impl Kernel for Choices<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) {
-        let Self { world, environment, wave, mis } = self;
+        let Self(wave, Around { textures, environment, mis, .. }) = self;
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
                 let (row, u) = environment.choose_row(wave.lights.u.at(i), mis);
@@ -196,7 +228,7 @@ impl Kernel for Choices<'_, '_> {
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
                 let cell = environment.choose_column(wave.sky.row[i], wave.lights.u.at(i), mis);
-                environment.prefetch(&world.textures, &cell, mis);
+                environment.prefetch(textures, &cell, mis);
                 wave.sky.set_cell(i, &cell);
             }
         }

@@ -196,6 +196,12 @@ impl<'w> Wave<'w> {
         self.t_max[i] = ray.t_max;
     }
 
+    /// The local direction to the light that was sampled.
+    #[inline(always)]
+    pub fn towards_light(&self, i: usize) -> Vec3 {
+        self.frame.at(i).to_local(self.lights.wi.at(i))
+    }
+
     /// Keeps what is known of a diffuse surface like that of any other.
     pub fn remember_diffuse(&mut self, i: usize) {
         let closure = Closure::Diffuse(Diffuse { reflectance: self.albedo.at(i) });
