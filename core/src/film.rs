@@ -8,6 +8,7 @@
 //! Sample `i` of a pixel belongs to replicate `i % REPLICATES`. Replicates are independent of each other, so the spread of
 //! their means measures the error of the whole mean.
 
+mod error;
 mod estimate;
 pub mod file;
 pub mod ranges;
@@ -16,7 +17,8 @@ pub mod sums;
 #[cfg(test)]
 mod tests;
 
-pub use estimate::{Estimate, RelativeError};
+pub use error::RelativeError;
+pub use estimate::Estimate;
 
 use crate::scene::Digest;
 use crate::settings::{Half, Settings, Window};

@@ -1,4 +1,4 @@
-//! What a film says: means, their variances, and how wrong the picture is.
+//! What a film says of its pixels: means and their variances.
 
 use super::{Film, REPLICATES};
 use crate::settings::Half;
@@ -13,20 +13,6 @@ pub struct Estimate {
     /// Samples.
     pub count: u64,
 }
-
-/// The estimated relative error of a picture: √(Σ variance of the mean / Σ mean²) over pixels and channels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RelativeError {
-    /// The estimate.
-    pub value: f32,
-    /// The lower end of its 95 % confidence interval.
-    pub low: f32,
-    /// The upper end.
-    pub high: f32,
-}
-
-/// 95 % of the normal distribution lie within so many standard deviations.
-const NORMAL_95: f64 = 1.96;
 
 impl Film {
     /// Mean, variance of the mean, and count of the pixel (x, y) of the whole picture.
@@ -69,6 +55,23 @@ impl Film {
         Estimate { mean: channels.map(|(m, _)| m), variance: channels.map(|(_, v)| v), count }
     }
 
+    /// How far each replicate's mean, over all channels, is from that of all (of its half, if those are apart); zero where there
+    /// are too few to tell.
+    pub(super) fn deviations(&self, x: u32, y: u32) -> [f64; REPLICATES] {
+        let i = self.index(x, y);
+        let mut means = [0.0; REPLICATES];
+        for (r, mean) in means.iter_mut().enumerate() {
+            *mean = self.sums[i].0[r].iter().map(|&s| s as f64).sum::<f64>() / f64::from(self.counts[i][r]);
+        }
+        let parts: &[Half] = if self.halves { &[Half::First, Half::Second] } else { &[Half::Both] };
+        for half in parts {
+            let means = &mut means[half.replicates()];
+            let middle = means.iter().sum::<f64>() / means.len() as f64;
+            means.iter_mut().for_each(|mean| *mean -= middle);
+        }
+        if means.iter().all(|mean| mean.is_finite()) { means } else { [0.0; REPLICATES] }
+    }
+
     /// Variance of the mean from the replicates' means m_r with n_r samples each: Σ n_r (m_r − m)² / (n (K − 1)) over the K
     /// replicates that have samples, infinite for K < 2.
     fn variance(&self, sums: [i128; REPLICATES], counts: &[u32; REPLICATES]) -> f32 {
@@ -85,37 +88,6 @@ impl Film {
         let spread: f64 = filled().map(|(n, mean)| n * (mean - m) * (mean - m)).sum();
         let fixed = spread / (n * (replicates - 1) as f64);
         scale_down(scale_down(fixed, self.scale_exponent), self.scale_exponent) as f32
-    }
-
-    /// The estimated relative error of the picture over at most `pixels_max` pixels spread evenly; `None` while too few
-    /// replicates have samples, or for a black picture.
-    pub fn relative_error(&self, pixels_max: u64) -> Option<RelativeError> {
-        let area = self.window.area();
-        let step = area.div_ceil(pixels_max.max(1)).max(1);
-        let (mut n, mut error, mut squares, mut power) = (0.0, 0.0, 0.0, 0.0);
-        for i in (0..area).step_by(usize::try_from(step).ok()?) {
-            let width = u64::from(self.window.width());
-            let estimate = self.estimate(self.window.x0 + (i % width) as u32, self.window.y0 + (i / width) as u32);
-            let variance = estimate.variance.iter().map(|&v| f64::from(v)).sum::<f64>();
-            n += 1.0;
-            error += variance;
-            squares += variance * variance;
-            power += estimate.mean.iter().map(|&m| f64::from(m) * f64::from(m)).sum::<f64>();
-        }
-        if !error.is_finite() || power <= 0.0 {
-            return None;
-        }
-        let value = (error / power).sqrt();
-        // A variance v estimated with ν degrees of freedom itself has the variance 2v²/ν, of which v̂² · 2/(ν + 2) is the unbiased
-        // estimate; pixels that were left out add how much the others differ.
-        let freedom = if self.halves { REPLICATES - 2 } else { REPLICATES - 1 };
-        let of_estimates = squares * 2.0 / (freedom as f64 + 2.0);
-        let of_pixels = (squares - error * error / n).max(0.0) * n / (n - 1.0).max(1.0);
-        let seen = n / area as f64;
-        let deviation = (seen * of_estimates + (1.0 - seen) * of_pixels).sqrt();
-        // The root halves relative deviations; an interval in the logarithm stays above zero.
-        let width = if error > 0.0 { libm::exp(0.5 * NORMAL_95 * deviation / error) } else { 1.0 };
-        Some(RelativeError { value: value as f32, low: (value / width) as f32, high: (value * width) as f32 })
     }
 }
 
