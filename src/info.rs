@@ -6,12 +6,14 @@ use anyhow::Context;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Instant;
 use tilecast_core::bvh::Stats;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::geometry::Memory;
 use tilecast_core::scene::{Bsdf, Emitter, Geometry, Mesh, Scene, Shape, Texture};
 use tilecast_core::settings::Settings;
+use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
 
 /// What to look at.
@@ -44,6 +46,8 @@ struct Facts {
     memory: MemoryFacts,
     /// Over the triangles.
     hierarchy: HierarchyFacts,
+    /// Whether paths would be reused by the pixels around theirs: a pilot finds whether that pays.
+    path_reuse: bool,
     /// What this machine would trace with.
     isa: &'static str,
     settings: Settings,
@@ -99,7 +103,8 @@ pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Res
         samples: None,
         replay: String::new(),
     };
-    let facts = tokio::task::spawn_blocking(move || picture.load().map(|(scene, ready)| facts(&scene, ready))).await;
+    let facts =
+        tokio::task::spawn_blocking(move || picture.load().and_then(|(scene, ready)| facts(&scene, ready))).await;
     let facts = facts.context("loading panicked")??;
     if json {
         print(&facts);
@@ -109,7 +114,7 @@ pub async fn run(Info { scene, defines, substitute, json }: Info) -> anyhow::Res
     Ok(())
 }
 
-fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions, .. }: Ready) -> Facts {
+fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions, .. }: Ready) -> anyhow::Result<Facts> {
     let triangles_of = |shapes: &[Shape]| -> usize {
         shapes.iter().filter_map(|shape| mesh_of(scene, &shape.geometry)).map(|mesh| mesh.triangles.len()).sum()
     };
@@ -124,8 +129,10 @@ fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions, .. }: Rea
     let world = World::compile(scene);
     let build_seconds = begun.elapsed().as_secs_f64();
     let Stats { nodes, blocks, bytes, sah_cost } = world.geometry.triangle_stats();
+    let memory = memory(&world, triangles);
+    let path_reuse = Tracer::new(Arc::new(world), settings.clone(), Isa::detect())?.reuses();
     let area_lights = scene.shapes.iter().filter(|shape| shape.radiance.is_some()).map(|_| "area");
-    Facts {
+    Ok(Facts {
         scene: blobs.digest.to_string(),
         shapes: count(scene.levels().flatten().map(|shape| match shape.geometry {
             Geometry::Mesh(_) => "mesh",
@@ -139,14 +146,15 @@ fn facts(scene: &Scene, Ready { blobs, settings, notes, substitutions, .. }: Rea
         materials: count(scene.bsdfs.iter().map(bsdf_name)),
         textures: count(scene.textures.iter().filter_map(texture_name)),
         lights: count(scene.emitters.iter().map(emitter_name).chain(area_lights)),
-        memory: memory(&world, triangles),
+        memory,
         images,
         hierarchy: HierarchyFacts { nodes, blocks, bytes, sah_cost, build_seconds },
+        path_reuse,
         isa: Isa::detect().name(),
         settings,
         notes: notes.iter().map(ToString::to_string).collect(),
         substitutions: substitutions.iter().map(ToString::to_string).collect(),
-    }
+    })
 }
 
 fn memory(world: &World, triangles: usize) -> MemoryFacts {
@@ -237,6 +245,10 @@ fn text(facts: &Facts) -> String {
             build_seconds
         ),
         format!("traced by  {}", facts.isa),
+        format!(
+            "paths      {}",
+            if facts.path_reuse { "reused by the pixels around theirs" } else { "each its own pixel's" }
+        ),
         format!("film       {}x{}, crop {},{},{},{}", film.width, film.height, crop.x0, crop.y0, crop.x1, crop.y1),
         format!("filter     {:?}", film.filter),
         format!("samples    {spp} a pixel, {sampler:?}, seed {seed}"),

@@ -83,6 +83,12 @@ fn tell(text: &mut String, scene: &Scene, event: &Event) -> std::fmt::Result {
             let end = if *survived { "goes on" } else { "ends" };
             writeln!(text, "  roulette: survival {survival}, {end}")
         }
+        Event::Shared { weight } => {
+            writeln!(text, "  goes on for all pixels of its block, with weight {} for its own", vector(*weight))
+        }
+        Event::Others { gained } => {
+            writeln!(text, "paths of the other pixels of its block find {} for it", vector(*gained))
+        }
         Event::End(cause) => writeln!(text, "{}", ending(*cause)),
     }
 }

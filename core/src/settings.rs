@@ -43,6 +43,14 @@ pub struct Without {
     pub early_roulette: bool,
     /// The last ray of a path is not traced where no light lies on it. The image is the same to the bit.
     pub blind_ends: bool,
+    /// What a path finds from its second surface on counts for neighbouring pixels as well.
+    /// What was rendered before there was such a thing was rendered without.
+    #[serde(default = "yes")]
+    pub path_reuse: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 /// Which of a pixel's replicates are sampled. The halves of an image are independent of each other: what one of them shows may

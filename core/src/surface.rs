@@ -17,7 +17,7 @@ pub const fn gamma(n: u32) -> f32 {
 
 /// Where a shadow ray ends, as a share of the way to its target. A small and far sphere is met with an error that grows with
 /// the distance, not with the sphere: without a margin it would cast a shadow on itself.
-const SHADOW_END: f32 = 1.0 - 1e-4;
+pub(crate) const SHADOW_END: f32 = 1.0 - 1e-4;
 
 /// Mitsuba's distance of rays from the surfaces that they leave, over 1 + the largest coordinate (`RayEpsilon` of its
 /// `math.h`).
@@ -101,8 +101,9 @@ impl Surface {
     }
 }
 
+/// The point moved off its surface to the side of `w`, by at least its error.
 #[inline(always)]
-fn offset(position: Vec3, error: Vec3, normal: Vec3, w: Vec3) -> Vec3 {
+pub(crate) fn offset(position: Vec3, error: Vec3, normal: Vec3, w: Vec3) -> Vec3 {
     // The sum below is rounded, perhaps backwards: by one step of f32 along each axis at most.
     let distance = normal.abs().dot(error + position.abs() * gamma(4));
     position + normal * distance.copysign(w.dot(normal))

@@ -1,12 +1,15 @@
 //! A unit of work: the samples of a tile, traced.
 
+mod pilot;
+
 use crate::bvh::Ray;
 use crate::bvh::simd::{Isa, Kernel, Lanes, Portable};
 use crate::camera::{Camera, CameraRay};
 use crate::film::{RadianceError, TileSums};
 use crate::filter::{FilterTable, box_sample};
+use crate::integrator::reuse::BLOCK;
 use crate::integrator::rows::{Vec3s, WIDTH};
-use crate::integrator::{Estimator, Paths, Start, Tag};
+use crate::integrator::{Estimator, Paths, Start, Tag, Tally};
 use crate::sampler::{Sampler, Samplers};
 use crate::settings::{SamplerKind, Settings, SettingsError, Window};
 use crate::witness::{Event, Nobody, Record, Witness};
@@ -23,6 +26,8 @@ pub struct Tracer {
     camera: Camera,
     filter: FilterTable,
     isa: Isa,
+    /// Whether paths are reused.
+    reuses: bool,
 }
 
 /// A sample that has no value, and where it is.
@@ -40,15 +45,33 @@ pub struct SampleError {
 }
 
 impl Tracer {
-    /// Joins a world with settings. `isa` chooses among instruction sets; all give the same bits.
+    /// Joins a world with settings. `isa` chooses among instruction sets; all give the same bits. Where paths may be reused, a
+    /// few samples tell whether that pays; the answer depends on nothing but the two.
     ///
     /// # Errors
     /// Settings outside their ranges.
     pub fn new(world: Arc<World>, settings: Settings, isa: Isa) -> Result<Self, SettingsError> {
+        let mut tracer = Self::with_reuse(world, settings, isa, true)?;
+        tracer.reuses = tracer.reuses && pilot::reuse_pays(&tracer);
+        Ok(tracer)
+    }
+
+    /// As [`Tracer::new`], but paths are reused if `reuse` says so and they may be, pay it or not.
+    ///
+    /// # Errors
+    /// Settings outside their ranges.
+    pub fn with_reuse(world: Arc<World>, settings: Settings, isa: Isa, reuse: bool) -> Result<Self, SettingsError> {
         settings.validate()?;
         let camera = Camera::new(&world.sensor, &settings.film);
         let filter = FilterTable::new(settings.film.filter);
-        Ok(Self { world, settings, camera, filter, isa })
+        let mut tracer = Self { world, settings, camera, filter, isa, reuses: reuse };
+        tracer.reuses = tracer.estimator().reuses();
+        Ok(tracer)
+    }
+
+    /// Whether paths are reused.
+    pub fn reuses(&self) -> bool {
+        self.reuses
     }
 
     /// Traces samples `samples` of every pixel of `tile`, on the calling thread. `None` if `stop` was set meanwhile.
@@ -56,30 +79,46 @@ impl Tracer {
     /// # Errors
     /// The first sample that is not finite or out of range.
     pub fn trace(&self, tile: Window, samples: Range<u32>, stop: &AtomicBool) -> Result<Option<TileSums>, SampleError> {
-        self.isa.dispatch(TraceTile { tracer: self, tile, samples, stop })
+        self.isa.dispatch(TraceTile { tracer: self, tile, samples, stop }).0
     }
 
     /// Traces one sample again and tells what happened on its path: the very sample that [`Tracer::trace`] adds, its radiance
     /// as it goes to the film, be it fit for that or not.
     pub fn replay(&self, x: u32, y: u32, index: u32) -> (Vec3, Vec<Event>) {
-        let mut record = Record::default();
-        let start = self.start(x, y, index);
-        let (Ray { origin, direction, .. }, weight) = (start.ray, start.tag.weight);
-        record.see(|| Event::Camera { origin, direction, weight });
-        let mut one = One { start: Some(start), radiance: Vec3::ZERO };
-        self.estimator().follow(Portable, &self.world, &mut one, &mut record);
-        (one.radiance * weight, record.0)
+        let (mut starts, mut own) = (Vec::new(), 0);
+        for [px, py] in self.block_of(x, y) {
+            if [px, py] == [x, y] {
+                own = starts.len();
+            }
+            let (ray, sampler, weight) = self.lens().ray(px, py, index, self.settings.sampler, false);
+            starts.push(Start { ray, sampler, tag: Tag { pixel: starts.len() as u32, index, weight }, more: 0 });
+        }
+        let count = starts.len() as u32;
+        (1..).zip(&mut starts).for_each(|(n, start)| start.more = count - n);
+        let (Ray { origin, direction, .. }, weight) = (starts[own].ray, starts[own].tag.weight);
+        let mut record = Record { path: own, events: Vec::new() };
+        record.see(own, || Event::Camera { origin, direction, weight });
+        let mut group = One { starts: starts.into_iter(), own: own as u32, radiance: Vec3::ZERO };
+        self.estimator().follow(Portable, &self.world, &mut group, &mut record);
+        (group.radiance * weight, record.events)
+    }
+
+    /// The pixels that reuse each other's paths with this one, itself among them.
+    fn block_of(&self, x: u32, y: u32) -> impl Iterator<Item = [u32; 2]> {
+        let ([across, down], film) = (self.block(), &self.settings.film);
+        let (x0, y0) = (x / across * across, y / down * down);
+        let (x1, y1) = ((x0 + across).min(film.width), (y0 + down).min(film.height));
+        (y0..y1).flat_map(move |y| (x0..x1).map(move |x| [x, y]))
+    }
+
+    /// The size of the blocks of pixels that reuse each other's paths.
+    fn block(&self) -> [u32; 2] {
+        if self.estimator().reuses() { BLOCK } else { [1, 1] }
     }
 
     fn estimator(&self) -> Estimator {
         let Settings { integrator, strategy, without, offsets, .. } = self.settings;
-        Estimator { integrator, strategy, without, offsets }
-    }
-
-    /// Where one sample of one pixel begins.
-    fn start(&self, x: u32, y: u32, index: u32) -> Start {
-        let (ray, sampler, weight) = self.lens().ray(x, y, index, self.settings.sampler, false);
-        Start { ray, sampler, tag: Tag { pixel: 0, index, weight } }
+        Estimator { integrator, strategy, without, offsets, may_reuse: self.reuses }
     }
 
     #[inline(always)]
@@ -94,6 +133,9 @@ impl Tracer {
         }
     }
 }
+
+/// Stands for a pixel outside of the tile, whose path is reused within it.
+const OUTSIDE: u32 = u32::MAX;
 
 /// What makes camera rays.
 #[derive(Clone)]
@@ -129,31 +171,37 @@ impl Lens<'_> {
     }
 }
 
-/// A single path.
+/// A single path, and those that its pixel reuses.
 struct One {
-    start: Option<Start>,
+    starts: std::vec::IntoIter<Start>,
+    own: u32,
     radiance: Vec3,
 }
 
 impl Paths for One {
     fn start<L: Lanes>(&mut self, _: L) -> Option<Start> {
-        self.start.take()
+        self.starts.next()
     }
 
-    fn end(&mut self, _: Tag, radiance: Vec3) {
-        self.radiance = radiance;
+    fn end(&mut self, tag: Tag, radiance: Vec3) {
+        if tag.pixel == self.own {
+            self.radiance = radiance;
+        }
     }
 }
 
-/// The paths of a tile, in the order of its pixels and their samples.
+/// The paths of a tile, in the order of its blocks of pixels, their samples, and the pixels of each.
 struct TilePaths<'a> {
     tracer: &'a Tracer,
     stop: &'a AtomicBool,
     sums: TileSums,
-    /// The sample that comes next: its pixel, counted within the tile, and index.
+    /// The pixels that reuse each other's paths, and the blocks of them that lie within the tile, wholly or in part.
+    block: [u32; 2],
+    blocks: Window,
+    /// What comes next: the block, counted among those, and the index of the sample.
     next: (u32, u32),
     is_stopped: bool,
-    /// The first that has no value, as far as is known.
+    /// The first pixel and sample without a value, as far as is known.
     failed: Option<(u32, u32, RadianceError)>,
     /// Made ready in advance, many at a time.
     ready: Box<Ready<'a>>,
@@ -167,6 +215,7 @@ struct Ready<'a> {
     kind: SamplerKind,
     pixel: [u32; WIDTH],
     index: [u32; WIDTH],
+    more: [u32; WIDTH],
     x: [u32; WIDTH],
     y: [u32; WIDTH],
     weight: [f32; WIDTH],
@@ -184,6 +233,7 @@ impl<'a> TilePaths<'a> {
             kind: tracer.settings.sampler,
             pixel: [0; WIDTH],
             index: [0; WIDTH],
+            more: [0; WIDTH],
             x: [0; WIDTH],
             y: [0; WIDTH],
             weight: [0.0; WIDTH],
@@ -192,27 +242,49 @@ impl<'a> TilePaths<'a> {
             t_max: [0.0; WIDTH],
             samplers: Samplers::NONE,
         });
+        let block @ [across, down] = tracer.block();
+        let blocks = Window {
+            x0: tile.x0 / across,
+            y0: tile.y0 / down,
+            x1: tile.x1.div_ceil(across),
+            y1: tile.y1.div_ceil(down),
+        };
         let sums = TileSums::new(tile, samples);
-        Self { tracer, stop, sums, next, is_stopped: false, failed: None, ready, waiting: 0..0 }
+        Self { tracer, stop, sums, block, blocks, next, is_stopped: false, failed: None, ready, waiting: 0..0 }
     }
 
     /// Makes the next paths ready.
     #[inline(always)]
     fn make_ready<L: Lanes>(&mut self, lanes: L) {
-        let Window { x0, y0, x1, .. } = self.sums.tile;
-        let samples = self.sums.samples.clone();
-        let (width, half) = (x1 - x0, self.tracer.settings.half);
+        let (tile, samples, half) = (self.sums.tile, self.sums.samples.clone(), self.tracer.settings.half);
+        let ([across, down], film) = (self.block, &self.tracer.settings.film);
         let mut count = 0;
-        while count < WIDTH && (self.next.0 as usize) < self.sums.pixels.len() && !samples.is_empty() {
-            let (pixel, own) = self.next;
+        while count + (across * down) as usize <= WIDTH
+            && u64::from(self.next.0) < self.blocks.area()
+            && !samples.is_empty()
+        {
+            let (block, own) = self.next;
             if own == samples.start && self.stop.load(Ordering::Relaxed) {
                 self.is_stopped = true;
                 break;
             }
-            (self.ready.x[count], self.ready.y[count]) = (x0 + pixel % width, y0 + pixel / width);
-            (self.ready.pixel[count], self.ready.index[count]) = (pixel, half.index(own));
-            count += 1;
-            self.next = if own + 1 == samples.end { (pixel + 1, samples.start) } else { (pixel, own + 1) };
+            let (column, row) = (block % self.blocks.width(), block / self.blocks.width());
+            let (left, top) = ((self.blocks.x0 + column) * across, (self.blocks.y0 + row) * down);
+            let begin = count;
+            for y in top..(top + down).min(film.height) {
+                for x in left..(left + across).min(film.width) {
+                    let ready = &mut *self.ready;
+                    let is_inside = (tile.x0..tile.x1).contains(&x) && (tile.y0..tile.y1).contains(&y);
+                    let pixel = if is_inside { (y - tile.y0) * tile.width() + (x - tile.x0) } else { OUTSIDE };
+                    (ready.x[count], ready.y[count]) = (x, y);
+                    (ready.pixel[count], ready.index[count]) = (pixel, half.index(own));
+                    count += 1;
+                }
+            }
+            for i in begin..count {
+                self.ready.more[i] = (count - 1 - i) as u32;
+            }
+            self.next = if own + 1 == samples.end { (block + 1, samples.start) } else { (block, own + 1) };
         }
         lanes.run(Cameras(&mut self.ready));
         self.waiting = 0..count;
@@ -242,11 +314,19 @@ impl Paths for TilePaths<'_> {
         let ray = Ray { origin: ready.origin.at(i), direction: ready.direction.at(i), t_max: ready.t_max[i] };
         let Settings { sampler, spp, .. } = self.tracer.settings;
         let sampler = ready.samplers.at(i, 0, sampler, &Sampler::new(sampler, 0, 0, 0, 0, spp));
-        Some(Start { ray, sampler, tag: Tag { pixel: ready.pixel[i], index: ready.index[i], weight: ready.weight[i] } })
+        Some(Start {
+            ray,
+            sampler,
+            tag: Tag { pixel: ready.pixel[i], index: ready.index[i], weight: ready.weight[i] },
+            more: ready.more[i],
+        })
     }
 
     #[inline(always)]
     fn end(&mut self, Tag { pixel, index, weight }: Tag, radiance: Vec3) {
+        if pixel == OUTSIDE {
+            return;
+        }
         let scale_exponent = self.tracer.settings.scale_exponent;
         let added = self.sums.pixels[pixel as usize].add(index, radiance * weight, scale_exponent);
         if let Err(error) = added
@@ -298,13 +378,13 @@ struct TraceTile<'a> {
 }
 
 impl Kernel for TraceTile<'_> {
-    type Output = Result<Option<TileSums>, SampleError>;
+    type Output = (Result<Option<TileSums>, SampleError>, Tally);
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
         let Self { tracer, tile, samples, stop } = self;
         let mut paths = TilePaths::new(tracer, tile, samples, stop);
-        tracer.estimator().follow(lanes, &tracer.world, &mut paths, &mut Nobody);
-        paths.finish()
+        let tally = tracer.estimator().follow(lanes, &tracer.world, &mut paths, &mut Nobody);
+        (paths.finish(), tally)
     }
 }

@@ -76,8 +76,18 @@ pub enum Event {
         /// Whether the path goes on.
         survived: bool,
     },
+    /// From here on the path is one of several for each pixel of a block: what it finds counts so much for its own.
+    Shared {
+        /// The weight, within `gained` of what follows.
+        weight: Vec3,
+    },
     /// The path is over.
     End(Cause),
+    /// What the other paths of the block found for this pixel.
+    Others {
+        /// What the sample gained.
+        gained: Vec3,
+    },
 }
 
 /// Why a path ends.
@@ -95,10 +105,10 @@ pub enum Cause {
     Roulette,
 }
 
-/// Who watches a path.
+/// Who watches paths.
 pub trait Witness {
-    /// Is told what happened. `event` is called only by those who look.
-    fn see(&mut self, event: impl FnOnce() -> Event);
+    /// Is told what happened on a path, by its number. `event` is called only by those who look.
+    fn see(&mut self, path: usize, event: impl FnOnce() -> Event);
 }
 
 /// Nobody watches: nothing is computed for it.
@@ -107,15 +117,22 @@ pub struct Nobody;
 
 impl Witness for Nobody {
     #[inline(always)]
-    fn see(&mut self, _: impl FnOnce() -> Event) {}
+    fn see(&mut self, _: usize, _: impl FnOnce() -> Event) {}
 }
 
-/// Keeps all that happened.
+/// Keeps all that happened on one path.
 #[derive(Clone, Debug, Default)]
-pub struct Record(pub Vec<Event>);
+pub struct Record {
+    /// Which.
+    pub path: usize,
+    /// What happened.
+    pub events: Vec<Event>,
+}
 
 impl Witness for Record {
-    fn see(&mut self, event: impl FnOnce() -> Event) {
-        self.0.push(event());
+    fn see(&mut self, path: usize, event: impl FnOnce() -> Event) {
+        if path == self.path {
+            self.events.push(event());
+        }
     }
 }

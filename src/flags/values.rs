@@ -58,6 +58,8 @@ pub enum SavingName {
     EarlyRoulette,
     /// Not tracing a path's last ray where no light lies on it
     BlindEnds,
+    /// Paths that count for neighbouring pixels, too, where a pilot finds that it pays
+    PathReuse,
 }
 
 /// These switched off.
@@ -68,6 +70,7 @@ pub fn without(names: &[SavingName]) -> Without {
             SavingName::Splitting => without.splitting = true,
             SavingName::EarlyRoulette => without.early_roulette = true,
             SavingName::BlindEnds => without.blind_ends = true,
+            SavingName::PathReuse => without.path_reuse = true,
         }
     }
     without

@@ -47,7 +47,9 @@ fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     println!("scene,sampler,replicates,spp,mse,relmse,nanoseconds");
     for scene in &arguments.scenes {
-        let (world, settings) = compile(scene, &[])?;
+        let (world, mut settings) = compile(scene, &[])?;
+        // What a sampler does for a pixel's own paths.
+        settings.without.path_reuse = true;
         let name = scene.parent().and_then(|p| p.file_name()).context("a scene without a folder")?.to_string_lossy();
         let Window { x1: width, y1: height, .. } = small(&settings, arguments.pixels);
         let film = FilmSettings { width, height, crop: small(&settings, arguments.pixels), filter: Filter::Box };

@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Parser;
 use std::path::PathBuf;
 use tilecast_bench::{compile, means, mse, render, small};
-use tilecast_core::settings::{Film, Filter, Integrator, SamplerKind, Settings, Strategy};
+use tilecast_core::settings::{Film, Filter, Integrator, SamplerKind, Settings, Strategy, Without};
 use tilecast_measure::plot::{Curve, Labels, log_log};
 
 const STRATEGIES: [(&str, Strategy); 5] = [
@@ -40,12 +40,14 @@ struct Arguments {
     pixels: u32,
 }
 
-/// The same picture with another number of pixels, each the plain mean over its square, and without visible lamps.
+/// The same picture with another number of pixels, each the plain mean over its square, without visible lamps, and of its own paths
+/// alone, since not all strategies let them be reused.
 fn prepared(settings: Settings, pixels: u32) -> Settings {
     let crop = small(&settings, pixels);
     let (width, height) = (crop.x1, crop.y1);
     let integrator = Integrator { hide_emitters: true, ..settings.integrator };
-    Settings { film: Film { width, height, crop, filter: Filter::Box }, integrator, ..settings }
+    let without = Without { path_reuse: true, ..settings.without };
+    Settings { film: Film { width, height, crop, filter: Filter::Box }, integrator, without, ..settings }
 }
 
 fn main() -> anyhow::Result<()> {

@@ -112,7 +112,7 @@ impl Estimator {
             let ray = wave.ray(i);
             if wave.is_last[i] && !self.without.blind_ends && !world.lights.may_meet(lanes, &ray) {
                 wave.state[i] = State::End;
-                witness.see(|| Event::End(Cause::Dark));
+                witness.see(i, || Event::End(Cause::Dark));
                 continue;
             }
             (wave.rays[count], wave.owners[count]) = (ray, i);
@@ -152,7 +152,7 @@ impl Estimator {
         if !hidden && let Some((radiance, mis)) = lanes.run(Beyond { estimator: self, world, from, wi }) {
             found(wave, i, radiance, mis, witness);
         }
-        witness.see(|| Event::End(Cause::Escaped));
+        witness.see(i, || Event::End(Cause::Escaped));
     }
 
     /// The path's last ray has hit something, which matters if it shines.
@@ -169,13 +169,13 @@ impl Estimator {
         let i = wave.owners[k];
         wave.state[i] = State::End;
         if !self.without.blind_ends && world.geometry.light_of(&hit).is_none() {
-            witness.see(|| Event::End(Cause::Dark));
+            witness.see(i, || Event::End(Cause::Dark));
             return;
         }
         let surface = lanes.run(At { world, ray: &wave.rays[k], hit });
-        witness.see(|| Event::Hit { depth: wave.depth[i], surface, throughput: wave.throughput.at(i) });
+        witness.see(i, || Event::Hit { depth: wave.depth[i], surface, throughput: wave.throughput.at(i) });
         self.shine(lanes, world, wave, i, &surface, witness);
-        witness.see(|| Event::End(Cause::Depth));
+        witness.see(i, || Event::End(Cause::Depth));
     }
 
     /// Gains what the surface emits.
@@ -205,7 +205,7 @@ impl Estimator {
         i: usize,
         witness: &mut W,
     ) {
-        witness.see(|| {
+        witness.see(i, || {
             let (depth, surface, throughput) = (wave.depth[i], wave.surfaces.at(i), wave.throughput.at(i));
             Event::Hit { depth, surface, throughput }
         });
@@ -317,7 +317,8 @@ impl Kernel for Shade<'_, '_> {
 #[inline(always)]
 pub(super) fn found<W: Witness>(wave: &mut Wave, i: usize, radiance: Vec3, mis: f32, witness: &mut W) {
     let gained = wave.throughput.at(i) * wave.share[i] * (radiance * mis);
-    witness.see(|| Event::Emission { radiance, mis, pdf: wave.from.pdf[i], gained });
+    let told = gained * wave.worth.at(i);
+    witness.see(i, || Event::Emission { radiance, mis, pdf: wave.from.pdf[i], gained: told });
     wave.gain(i, gained);
 }
 

@@ -3,66 +3,87 @@
 use super::rows::{Vec3s, WIDTH};
 use super::scatter::weigh_if;
 use super::wave::Wave;
-use crate::bsdf::{Closure, Microfacet, SeenPlastic};
+use crate::bsdf::{Closure, Evaluation, Microfacet, SeenPlastic};
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::scene::Distribution;
-use glam::Vec2;
+use crate::shading::Shading;
+use glam::{Vec2, Vec3};
 
 /// Rough plastics with GGX facets, as the paths see them.
-pub(super) struct Coats {
+pub(super) struct Coats<const N: usize = WIDTH> {
     /// The path is at one, and nothing bends it; else the rest is meaningless. (Its base lies where a Lambert's albedo would.)
-    pub is_some: [bool; WIDTH],
-    alpha: [f32; WIDTH],
-    eta: [f32; WIDTH],
-    specular: Vec3s,
-    enters: [f32; WIDTH],
-    share: [f32; WIDTH],
+    pub is_some: [bool; N],
+    alpha: [f32; N],
+    eta: [f32; N],
+    specular: Vec3s<N>,
+    enters: [f32; N],
+    share: [f32; N],
     /// Local direction that was chosen.
-    wi: Vec3s,
+    wi: Vec3s<N>,
     /// Share of light that would pass the coat from the direction in hand.
-    leaves: [f32; WIDTH],
+    leaves: [f32; N],
 }
 
-impl Coats {
+impl<const N: usize> Coats<N> {
     pub const NONE: Self = Self {
-        is_some: [false; WIDTH],
-        alpha: [1.0; WIDTH],
-        eta: [1.0; WIDTH],
+        is_some: [false; N],
+        alpha: [1.0; N],
+        eta: [1.0; N],
         specular: Vec3s::ZERO,
-        enters: [0.0; WIDTH],
-        share: [0.0; WIDTH],
+        enters: [0.0; N],
+        share: [0.0; N],
         wi: Vec3s::ZERO,
-        leaves: [0.0; WIDTH],
+        leaves: [0.0; N],
     };
+
+    /// Lays out the rough plastic of a surface seen from `wo`, and tells its base, if it is one.
+    #[inline(always)]
+    pub fn lay_out(&mut self, i: usize, shading: &Shading, wo: Vec3) -> Option<Vec3> {
+        let (Closure::RoughPlastic(plastic), None) = (&shading.closure, &shading.tilt) else { return None };
+        let seen = plastic.seen_from(wo);
+        let alpha = seen.facets.round_ggx()?;
+        self.is_some[i] = true;
+        (self.alpha[i], self.eta[i]) = (alpha, seen.eta);
+        self.specular.set(i, seen.specular_reflectance);
+        (self.enters[i], self.share[i]) = (seen.enters, seen.share);
+        Some(seen.base)
+    }
+
+    /// Looks up how much light passes the coat at this cosine.
+    #[inline(always)]
+    pub fn look_up_leaves(&mut self, i: usize, shading: &Shading, cos: f32) {
+        if let Closure::RoughPlastic(plastic) = &shading.closure {
+            self.leaves[i] = plastic.transmittance(cos);
+        }
+    }
+
+    /// As it was laid out, over this base.
+    #[inline(always)]
+    pub fn at(&self, i: usize, base: Vec3) -> SeenPlastic {
+        SeenPlastic {
+            facets: Microfacet::new(Distribution::Ggx, Vec2::splat(self.alpha[i])),
+            eta: self.eta[i],
+            base,
+            specular_reflectance: self.specular.at(i),
+            enters: self.enters[i],
+            share: self.share[i],
+        }
+    }
+
+    /// As [`SeenPlastic::eval`].
+    #[inline(always)]
+    pub fn eval(&self, i: usize, base: Vec3, wo: Vec3, wi: Vec3) -> Evaluation {
+        self.at(i, base).eval(wo, wi, self.leaves[i])
+    }
 }
 
 impl Wave<'_> {
     /// Lays out the rough plastic of the surface in hand, if it is one.
     #[inline(always)]
     pub fn lay_out_coat(&mut self, i: usize) {
-        let (Closure::RoughPlastic(plastic), None) = (&self.shadings[i].closure, &self.shadings[i].tilt) else {
-            return;
-        };
-        let seen = plastic.seen_from(self.wo.at(i));
-        let Some(alpha) = seen.facets.round_ggx() else { return };
-        let coats = &mut self.coats;
-        coats.is_some[i] = true;
-        (coats.alpha[i], coats.eta[i]) = (alpha, seen.eta);
-        coats.specular.set(i, seen.specular_reflectance);
-        (coats.enters[i], coats.share[i]) = (seen.enters, seen.share);
-        self.albedo.set(i, seen.base);
-    }
-
-    #[inline(always)]
-    fn coat(&self, i: usize) -> SeenPlastic {
-        let coats = &self.coats;
-        SeenPlastic {
-            facets: Microfacet::new(Distribution::Ggx, Vec2::splat(coats.alpha[i])),
-            eta: coats.eta[i],
-            base: self.albedo.at(i),
-            specular_reflectance: coats.specular.at(i),
-            enters: coats.enters[i],
-            share: coats.share[i],
+        let wo = self.wo.at(i);
+        if let Some(base) = self.coats.lay_out(i, &self.shadings[i], wo) {
+            self.albedo.set(i, base);
         }
     }
 
@@ -71,10 +92,9 @@ impl Wave<'_> {
     fn look_up_leaves(&mut self, count: usize, cos: impl Fn(&Self, usize) -> f32) {
         for k in 0..count {
             let i = self.chosen[k];
-            if self.coats.is_some[i]
-                && let Closure::RoughPlastic(plastic) = &self.shadings[i].closure
-            {
-                self.coats.leaves[i] = plastic.transmittance(cos(self, i));
+            if self.coats.is_some[i] {
+                let cos = cos(self, i);
+                self.coats.look_up_leaves(i, &self.shadings[i], cos);
             }
         }
     }
@@ -104,7 +124,7 @@ impl Kernel for Evaluate<'_, '_> {
     fn run<L: Lanes>(self, _: L) {
         let Self(wave, with_bsdf) = self;
         for i in 0..WIDTH {
-            let evaluation = wave.coat(i).eval(wave.wo.at(i), wave.towards_light(i), wave.coats.leaves[i]);
+            let evaluation = wave.coats.eval(i, wave.albedo.at(i), wave.wo.at(i), wave.towards_light(i));
             weigh_if(wave, i, evaluation, with_bsdf, wave.coats.is_some[i]);
         }
     }
@@ -119,7 +139,11 @@ impl Kernel for Directions<'_, '_> {
     fn run<L: Lanes>(self, _: L) {
         let wave = self.0;
         for i in 0..WIDTH {
-            let wi = wave.coat(i).direction(wave.wo.at(i), wave.numbers.lobe[i], wave.numbers.direction.at(i));
+            let wi = wave.coats.at(i, wave.albedo.at(i)).direction(
+                wave.wo.at(i),
+                wave.numbers.lobe[i],
+                wave.numbers.direction.at(i),
+            );
             wave.coats.wi.set(i, wi);
         }
     }
@@ -134,7 +158,8 @@ impl Kernel for Weights<'_, '_> {
     fn run<L: Lanes>(self, _: L) {
         let wave = self.0;
         for i in 0..WIDTH {
-            let (sample, is_some) = wave.coat(i).sample(wave.wo.at(i), wave.coats.wi.at(i), wave.coats.leaves[i]);
+            let (sample, is_some) =
+                wave.coats.at(i, wave.albedo.at(i)).sample(wave.wo.at(i), wave.coats.wi.at(i), wave.coats.leaves[i]);
             wave.next.set_if(i, sample, is_some, &wave.frame.at(i), wave.coats.is_some[i]);
         }
     }

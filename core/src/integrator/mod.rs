@@ -10,6 +10,7 @@
 
 mod arrive;
 mod coats;
+pub(crate) mod reuse;
 pub(crate) mod rows;
 mod scatter;
 mod sky;
@@ -26,6 +27,7 @@ use crate::warp::{UNIFORM_HEMISPHERE_PDF, cosine_hemisphere, cosine_hemisphere_p
 use crate::witness::Witness;
 use crate::world::World;
 use glam::{Vec2, Vec3};
+use reuse::{GROUP, Groups};
 use rows::WIDTH;
 use wave::{Rules, State, Wave};
 
@@ -56,6 +58,8 @@ pub struct Estimator {
     pub without: Without,
     /// Where rays leave surfaces.
     pub offsets: Offsets,
+    /// Paths may be reused, if the rest allows it.
+    pub may_reuse: bool,
 }
 
 /// How a ray came about: what weighs an emitter that it finds.
@@ -80,6 +84,15 @@ pub struct Tag {
     pub weight: f32,
 }
 
+/// What was done: an estimate of the cost that does not depend on the machine.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Tally {
+    /// Surfaces that scattered paths.
+    pub surfaces: u64,
+    /// Rays that connected paths with the first surfaces of others.
+    pub links: u64,
+}
+
 /// Where a path begins.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
@@ -89,6 +102,8 @@ pub struct Start {
     pub sampler: Sampler,
     /// Comes back with the path's radiance.
     pub tag: Tag,
+    /// So many paths of the same group come next: of the same sample, in pixels that reuse each other's paths.
+    pub more: u32,
 }
 
 /// Where paths come from, and where their radiance goes.
@@ -101,17 +116,24 @@ pub trait Paths {
 
 impl Estimator {
     /// Follows all paths there are, many at a time. Their samplers differ in nothing but seed, pixel and index; a path's radiance
-    /// does not depend on the others.
+    /// does not depend on those of other groups.
     #[inline(always)]
-    pub fn follow<L: Lanes>(&self, lanes: L, world: &World, paths: &mut impl Paths, witness: &mut impl Witness) {
-        let Some(first) = paths.start(lanes) else { return };
-        let like = first.sampler;
+    pub fn follow<L: Lanes>(
+        &self,
+        lanes: L,
+        world: &World,
+        paths: &mut impl Paths,
+        witness: &mut impl Witness,
+    ) -> Tally {
+        let mut first = paths.start(lanes);
+        let Some(Start { sampler: like, tag, .. }) = first else { return Tally::default() };
         let branches = self.integrator.kind == IntegratorKind::Direct && !self.without.splitting;
-        let mut wave = Wave::new(self.rules(), first.tag, branches);
-        self.begin(&mut wave, 0, first);
-        while self.refill(lanes, &mut wave, paths) {
+        let mut wave = Wave::new(self.rules(), tag, branches);
+        wave.groups = self.reuses().then(Groups::new);
+        while self.refill(lanes, &mut wave, &mut first, paths, witness) {
             self.arrive(lanes, world, &mut wave, &like, witness);
             if !branches {
+                self.meet(lanes, world, &mut wave, witness);
                 self.scatter(lanes, world, &mut wave, &like, None, witness);
                 continue;
             }
@@ -122,29 +144,52 @@ impl Estimator {
                 self.arrive(lanes, world, &mut wave, &like, witness);
             }
         }
+        wave.tally
     }
 
-    /// Hands over the radiance of paths that have ended, and begins others in their places; whether there are any.
+    /// Hands over the radiance of paths that have ended, and begins others in their places, `first` before all; whether there are any.
     #[inline(always)]
-    fn refill<L: Lanes>(&self, lanes: L, wave: &mut Wave, paths: &mut impl Paths) -> bool {
-        let mut any = false;
+    fn refill<L: Lanes>(
+        &self,
+        lanes: L,
+        wave: &mut Wave,
+        first: &mut Option<Start>,
+        paths: &mut impl Paths,
+        witness: &mut impl Witness,
+    ) -> bool {
+        let mut idle = 0;
         for i in 0..WIDTH {
             if wave.state[i] == State::End {
-                paths.end(wave.tags[i], wave.radiance.at(i));
                 wave.state[i] = State::Idle;
+                let (seat, radiance) = (wave.seats[i], wave.radiance.at(i));
+                match &mut wave.groups {
+                    Some(groups) => groups.end(seat, radiance, |tag, radiance| paths.end(tag, radiance), witness),
+                    None => paths.end(wave.tags[i], radiance),
+                }
             }
-            if wave.state[i] == State::Idle
-                && let Some(start) = paths.start(lanes)
-            {
-                self.begin(wave, i, start);
+            if wave.state[i] == State::Idle {
+                wave.chosen[idle] = i;
+                idle += 1;
             }
-            any |= wave.state[i] != State::Idle;
         }
-        any
+        let room = if wave.groups.is_some() { GROUP } else { 1 };
+        let (mut begun, mut more) = (0, 0);
+        while (more > 0 || idle - begun >= room)
+            && let Some(start) = first.take().or_else(|| paths.start(lanes))
+        {
+            let i = wave.chosen[begun];
+            if let Some(groups) = &mut wave.groups {
+                wave.seats[i] = groups.seat(i, start.tag, more > 0);
+            }
+            more = start.more;
+            self.begin(wave, i, start);
+            begun += 1;
+        }
+        idle < WIDTH || begun > 0
     }
 
     #[inline(always)]
-    fn begin(&self, wave: &mut Wave, i: usize, Start { ray, sampler, tag }: Start) {
+    fn begin(&self, wave: &mut Wave, i: usize, Start { ray, sampler, tag, .. }: Start) {
         wave.tags[i] = tag;
         wave.samplers.set(i, &sampler);
         wave.begin(i, &ray, self.max_depth().is_some_and(|max| max <= 1));

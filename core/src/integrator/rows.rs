@@ -16,13 +16,13 @@ pub(super) const NONE: u32 = u32::MAX;
 /// Points of the plane.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
-pub(crate) struct Vec2s {
-    x: [f32; WIDTH],
-    y: [f32; WIDTH],
+pub(crate) struct Vec2s<const N: usize = WIDTH> {
+    x: [f32; N],
+    y: [f32; N],
 }
 
-impl Vec2s {
-    pub const ZERO: Self = Self { x: [0.0; WIDTH], y: [0.0; WIDTH] };
+impl<const N: usize> Vec2s<N> {
+    pub const ZERO: Self = Self { x: [0.0; N], y: [0.0; N] };
 
     #[inline(always)]
     pub fn at(&self, i: usize) -> Vec2 {
@@ -38,14 +38,14 @@ impl Vec2s {
 /// Vectors of space.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
-pub(crate) struct Vec3s {
-    x: [f32; WIDTH],
-    y: [f32; WIDTH],
-    z: [f32; WIDTH],
+pub(crate) struct Vec3s<const N: usize = WIDTH> {
+    x: [f32; N],
+    y: [f32; N],
+    z: [f32; N],
 }
 
-impl Vec3s {
-    pub const ZERO: Self = Self { x: [0.0; WIDTH], y: [0.0; WIDTH], z: [0.0; WIDTH] };
+impl<const N: usize> Vec3s<N> {
+    pub const ZERO: Self = Self { x: [0.0; N], y: [0.0; N], z: [0.0; N] };
 
     #[inline(always)]
     pub fn at(&self, i: usize) -> Vec3 {
@@ -89,13 +89,13 @@ pub(super) struct Surfaces {
     pub light: [u32; WIDTH],
 }
 
-pub(super) struct Frames {
-    pub s: Vec3s,
-    pub t: Vec3s,
-    pub n: Vec3s,
+pub(super) struct Frames<const N: usize = WIDTH> {
+    pub s: Vec3s<N>,
+    pub t: Vec3s<N>,
+    pub n: Vec3s<N>,
 }
 
-impl Frames {
+impl<const N: usize> Frames<N> {
     pub const ZERO: Self = Self { s: Vec3s::ZERO, t: Vec3s::ZERO, n: Vec3s::ZERO };
 
     #[inline(always)]

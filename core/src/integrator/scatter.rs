@@ -1,5 +1,6 @@
 //! At surfaces: light sampled there, and the ray that goes on.
 
+use super::reuse::part;
 use super::rows::{NONE, WIDTH};
 use super::wave::{Rules, State, Wave};
 use super::{BRANCHES, Estimator, power_heuristic};
@@ -34,27 +35,26 @@ impl Estimator {
             count += usize::from(is_chosen);
             has_coats |= is_chosen & wave.coats.is_some[i];
         }
-        if matches!(self.strategy, Strategy::Light | Strategy::Mis) && !world.lights.is_empty() {
-            self.direct(lanes, world, wave, count, has_coats, witness);
-        }
+        wave.tally.surfaces += count as u64;
         self.choose_directions(lanes, wave, count, has_coats);
+        let samples_lights = matches!(self.strategy, Strategy::Light | Strategy::Mis) && !world.lights.is_empty();
+        if samples_lights {
+            self.sample_lights(lanes, world, wave, count, has_coats);
+        }
+        self.reuse_choices(lanes, wave, count, witness);
+        if samples_lights {
+            self.gain_lights(lanes, world, wave, count, witness);
+        }
+        part(wave);
         lanes.run(Step(wave));
         for k in 0..count {
             self.go_on(wave, wave.chosen[k], witness);
         }
     }
 
-    /// Next-event estimation: light from one point of one light, if the way is free.
+    /// Next-event estimation: light from one point of one light.
     #[inline(always)]
-    fn direct<L: Lanes, W: Witness>(
-        &self,
-        lanes: L,
-        world: &World,
-        wave: &mut Wave,
-        count: usize,
-        has_coats: bool,
-        witness: &mut W,
-    ) {
+    fn sample_lights<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize, has_coats: bool) {
         let with_bsdf = self.strategy == Strategy::Mis;
         let Kinds { plain, sky } = lanes.run(ChooseLights { world, wave, count });
         if plain > 0 {
@@ -70,20 +70,36 @@ impl Estimator {
         if has_coats {
             wave.evaluate_coats(lanes, count, with_bsdf);
         }
+        for k in 0..count {
+            let i = wave.chosen[k];
+            let is_other = !wave.is_diffuse[i] && !wave.coats.is_some[i];
+            if wave.lights.is_some[i] && is_other && !wave.seats[i].is_at_meeting() {
+                let (shading, wo, wi) = (&wave.shadings[i], wave.wo.at(i), wave.towards_light(i));
+                let evaluation = lanes.run(Eval { shading, wo, wi });
+                weigh(wave, i, evaluation, with_bsdf);
+            }
+        }
+    }
+
+    /// Gains the light that was sampled, where the way is free.
+    #[inline(always)]
+    fn gain_lights<L: Lanes, W: Witness>(
+        &self,
+        lanes: L,
+        world: &World,
+        wave: &mut Wave,
+        count: usize,
+        witness: &mut W,
+    ) {
         let mut rays = 0;
         for k in 0..count {
             let i = wave.chosen[k];
             if !wave.lights.is_some[i] {
                 continue;
             }
-            if !wave.is_diffuse[i] && !wave.coats.is_some[i] {
-                let (shading, wo, wi) = (&wave.shadings[i], wave.wo.at(i), wave.lights.wi.at(i));
-                let evaluation = lanes.run(Eval { shading, wo, wi });
-                weigh(wave, i, evaluation, with_bsdf);
-            }
             let lights = &wave.lights;
             if lights.value.at(i) == Vec3::ZERO {
-                witness.see(|| self.light_event(wave, i, false, Vec3::ZERO));
+                witness.see(i, || self.light_event(wave, i, false, Vec3::ZERO));
                 continue;
             }
             let ray = crate::bvh::Ray {
@@ -98,9 +114,17 @@ impl Estimator {
         for k in 0..rays {
             let i = wave.owners[k];
             let visible = !wave.occluded[k];
+            let seat = wave.seats[i];
+            if seat.is_at_meeting()
+                && let Some(groups) = &mut wave.groups
+            {
+                let gained = groups.light(seat, visible);
+                witness.see(i, || self.light_event(wave, i, visible, gained));
+                continue;
+            }
             let all = wave.throughput.at(i) * wave.share[i] * wave.lights.value.at(i);
             let gained = if visible { all } else { Vec3::ZERO };
-            witness.see(|| self.light_event(wave, i, visible, gained));
+            witness.see(i, || self.light_event(wave, i, visible, gained * wave.worth.at(i)));
             wave.gain(i, gained);
         }
     }
@@ -146,10 +170,10 @@ impl Estimator {
         } else {
             let next = &wave.next;
             let (wi, pdf, weight) = (next.wi.at(i), next.pdf[i], next.weight.at(i));
-            witness.see(|| Event::Continuation { wi, pdf, weight });
+            witness.see(i, || Event::Continuation { wi, pdf, weight });
             let (survival, survived) = (wave.survival[i], wave.survived[i]);
             if survival < 1.0 {
-                witness.see(|| Event::Roulette { survival, survived });
+                witness.see(i, || Event::Roulette { survival, survived });
             }
             if !survived {
                 cause = Some(Cause::Roulette);
@@ -159,7 +183,7 @@ impl Estimator {
         }
         wave.state[i] = if cause.is_none() { State::Ray } else { State::End };
         if let Some(cause) = cause {
-            witness.see(|| Event::End(cause));
+            witness.see(i, || Event::End(cause));
         }
     }
 }
@@ -180,7 +204,8 @@ impl Kernel for Step<'_, '_> {
             let eta = wave.eta[i] * wave.next.eta[i];
             let depth = wave.depth[i] + 1;
             let is_last = is_direct | (is_whitted & !is_delta) | (depth.saturating_add(1) >= max_depth);
-            let survival = if is_last { 1.0 } else { roulette.survival(throughput, eta, depth) };
+            let survival =
+                if is_last { 1.0 } else { roulette.survival(throughput * wave.worth_to_all.at(i), eta, depth) };
             let plays = survival < 1.0;
             wave.survival[i] = survival;
             wave.survived[i] = !plays | (wave.numbers.roulette[i] < survival);
@@ -326,11 +351,11 @@ impl Kernel for OtherLights<'_, '_> {
     }
 }
 
-/// What a surface does with light that was sampled.
-struct Eval<'a> {
-    shading: &'a Shading<'a>,
-    wo: Vec3,
-    wi: Vec3,
+/// What a surface does with light from a direction.
+pub(super) struct Eval<'a> {
+    pub shading: &'a Shading<'a>,
+    pub wo: Vec3,
+    pub wi: Vec3,
 }
 
 impl Kernel for Eval<'_> {
@@ -338,7 +363,7 @@ impl Kernel for Eval<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, _: L) -> Evaluation {
-        self.shading.eval(self.wo, self.shading.frame.to_local(self.wi))
+        self.shading.eval(self.wo, self.wi)
     }
 }
 

@@ -143,7 +143,7 @@ impl Estimator {
             wave.state[i] = State::End;
             let mis = self.weight_of_hit(wave.from.at(i), wave.sky.pdf[i] * around.probability);
             found(wave, i, wave.sky.radiance.at(i), mis, witness);
-            witness.see(|| Event::End(Cause::Escaped));
+            witness.see(i, || Event::End(Cause::Escaped));
         }
     }
 

@@ -1,11 +1,12 @@
 //! Many paths at once, laid out for loops over all of them.
 
 use super::coats::Coats;
+use super::reuse::{Groups, Seat};
 use super::rows::{
     Frames, LightSamples, NONE, Numbers, Origins, Samples, Stem, Surfaces, Triangles, Vec2s, Vec3s, WIDTH,
 };
 use super::sky::Skies;
-use super::{Roulette, Tag};
+use super::{Roulette, Tag, Tally};
 use crate::bsdf::{Closure, Diffuse};
 use crate::bvh::Ray;
 use crate::frame::Frame;
@@ -43,9 +44,16 @@ pub(super) struct Rules {
 /// [`WIDTH`] paths as far as they have come. What is meaningless in a path's state may be anything.
 pub(super) struct Wave<'w> {
     pub rules: Rules,
+    pub tally: Tally,
     pub state: [State; WIDTH],
     pub tags: [Tag; WIDTH],
     pub radiance: Vec3s,
+    /// Where paths are reused: their groups, and where each path belongs.
+    pub groups: Option<Groups<'w>>,
+    pub seats: [Seat; WIDTH],
+    /// What is found now counts so much for the path's own pixel, and for all pixels that reuse it: one unless there are others.
+    pub worth: Vec3s,
+    pub worth_to_all: Vec3s,
     pub samplers: Samplers<WIDTH>,
 
     pub origin: Vec3s,
@@ -105,9 +113,14 @@ impl<'w> Wave<'w> {
         let triangles = || Triangles { corners: [const { Vec3s::ZERO }; 3], extra: Vec3s::ZERO, area: [0.0; WIDTH] };
         Box::new(Self {
             rules,
+            tally: Tally::default(),
             state: [State::Idle; WIDTH],
             tags: [tag; WIDTH],
             radiance: Vec3s::ZERO,
+            groups: None,
+            seats: [Seat::NONE; WIDTH],
+            worth: Vec3s::ZERO,
+            worth_to_all: Vec3s::ZERO,
             samplers: Samplers::NONE,
             origin: Vec3s::ZERO,
             direction: Vec3s::ZERO,
@@ -234,6 +247,8 @@ impl<'w> Wave<'w> {
         self.from.pdf[i] = f32::INFINITY;
         self.radiance.set(i, Vec3::ZERO);
         self.throughput.set(i, Vec3::ONE);
+        self.worth.set(i, Vec3::ONE);
+        self.worth_to_all.set(i, Vec3::ONE);
         self.share[i] = 1.0;
         self.eta[i] = 1.0;
         self.depth[i] = 0;
@@ -271,7 +286,7 @@ impl<'w> Wave<'w> {
             let lobe = stem.lobe[i] + branch as f32 * (1.0 / of as f32);
             self.numbers.lobe[i] = if lobe >= 1.0 { lobe - 1.0 } else { lobe };
             self.state[i] = State::Surface;
-            witness.see(|| Event::Branch { number: branch + 1, of });
+            witness.see(i, || Event::Branch { number: branch + 1, of });
         }
     }
 }

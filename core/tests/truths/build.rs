@@ -60,12 +60,31 @@ pub fn render(scene: &Scene, settings: &Settings) -> Film {
     film
 }
 
-/// Mean over the image's red channel, and the standard error of it (pixels are independent).
+/// Pixels within blocks of this side may err together, since they reuse each other's paths.
+const BLOCK: u32 = 4;
+
+/// Mean over the image's red channel, and the standard error of it, from the spread of the replicates' means over each block.
 pub fn mean_and_error(film: &Film) -> (f64, f64) {
     let w = film.window;
-    let estimates = (w.y0..w.y1).flat_map(|y| (w.x0..w.x1).map(move |x| (x, y))).map(|(x, y)| film.estimate(x, y));
-    let (sum, variance) =
-        estimates.fold((0.0, 0.0), |(s, v), e| (s + f64::from(e.mean[0]), v + f64::from(e.variance[0])));
+    let scale = 2f64.powi(-film.scale_exponent);
+    let (mut sum, mut variance) = (0.0, 0.0);
+    let starts = |from: u32, to: u32| (from / BLOCK..to.div_ceil(BLOCK)).map(|n| n * BLOCK);
+    for (x0, y0) in starts(w.y0, w.y1).flat_map(|y| starts(w.x0, w.x1).map(move |x| (x, y))) {
+        let mut means = [0.0; film::REPLICATES];
+        for (x, y) in (y0.max(w.y0)..(y0 + BLOCK).min(w.y1))
+            .flat_map(|y| (x0.max(w.x0)..(x0 + BLOCK).min(w.x1)).map(move |x| (x, y)))
+        {
+            sum += f64::from(film.estimate(x, y).mean[0]);
+            let i = ((y - w.y0) * w.width() + (x - w.x0)) as usize;
+            for (r, mean) in means.iter_mut().enumerate() {
+                *mean += film.sums()[i].0[r][0] as f64 * scale / f64::from(film.counts()[i][r]);
+            }
+        }
+        let replicates = means.len() as f64;
+        let middle = means.iter().sum::<f64>() / replicates;
+        let spread = means.iter().map(|mean| (mean - middle).powi(2)).sum::<f64>();
+        variance += spread / (replicates * (replicates - 1.0));
+    }
     let n = w.area() as f64;
     (sum / n, variance.sqrt() / n)
 }

@@ -16,7 +16,7 @@ use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
 
 /// Numbers in 0…1 from a seed, one after the other.
-struct Dice(u64);
+pub struct Dice(pub u64);
 
 impl Dice {
     fn next(&mut self) -> f32 {
@@ -28,7 +28,7 @@ impl Dice {
         (x >> 40) as f32 / (1 << 24) as f32
     }
 
-    fn of(&mut self, count: usize) -> usize {
+    pub fn of(&mut self, count: usize) -> usize {
         ((self.next() * count as f32) as usize).min(count - 1)
     }
 
@@ -54,7 +54,7 @@ fn triangle(dice: &mut Dice, before: &[Vec3]) -> [Vec3; 3] {
     }
 }
 
-fn material(dice: &mut Dice) -> Bsdf {
+pub fn material(dice: &mut Dice) -> Bsdf {
     let eta = [1.0, 1.0 + 1e-6, 1.5, 1.0 / 1.5, 1.000_001 / 1.5][dice.of(5)];
     let distribution = [Distribution::Ggx, Distribution::Beckmann][dice.of(2)];
     let (white, smooth, half, zero) = (TextureId(1), TextureId(2), TextureId(0), TextureId(3));
@@ -170,7 +170,8 @@ fn any_camera(dice: &mut Dice) -> Sensor {
 /// Every sample is finite and within the film's range; `what` says whose are not.
 fn traced(any: &Scene, settings: &Settings, what: &str) {
     any.validate().unwrap_or_else(|error| panic!("{what}: {error}"));
-    let tracer = Tracer::new(Arc::new(World::compile(any)), settings.clone(), Isa::detect()).unwrap();
+    let world = Arc::new(World::compile(any));
+    let tracer = Tracer::with_reuse(world, settings.clone(), Isa::detect(), true).unwrap();
     let never = AtomicBool::new(false);
     if let Err(error) = tracer.trace(settings.film.crop, 0..settings.spp, &never) {
         let (radiance, events) = tracer.replay(error.x, error.y, error.index);
