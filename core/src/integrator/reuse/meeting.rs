@@ -30,9 +30,9 @@ pub(super) struct Meeting<'w> {
     y: Second,
     links: Links,
     second: Scatterers,
-    /// Share of each first surface in the density of each second one, at [j][k].
+    /// Share of each first surface in the density of each second one, at `[j][k]`.
     shares: [[f32; GROUP]; GROUP],
-    /// What pixel k gains from light at second surface j if its way is free, at [j][k]; and whether it is.
+    /// What pixel k gains from light at second surface j if its way is free, at `[j][k]`; and whether it is.
     light: [[Vec3; GROUP]; GROUP],
     is_lit: [bool; GROUP],
 }

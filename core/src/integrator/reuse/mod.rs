@@ -62,7 +62,7 @@ struct Group {
     /// Whether what a path has found since the group met is everyone's.
     is_shared: [bool; GROUP],
     found: [Vec3; GROUP],
-    /// Weight of what path j found in the pixel of path k, at [j][k].
+    /// Weight of what path j found in the pixel of path k, at `[j][k]`.
     weights: [[Vec3; GROUP]; GROUP],
 }
 
