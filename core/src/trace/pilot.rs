@@ -16,6 +16,8 @@ use std::sync::atomic::AtomicBool;
 const BLOCKS: u32 = 64;
 /// Samples a pixel: one for each replicate.
 const SAMPLES: u32 = REPLICATES as u32;
+/// Chooses samples that no picture has, unless one asks for this very seed: what decides is not part of what is decided on.
+const SEED: u64 = 0x7069_6c6f_7421;
 
 /// What a path costs at each surface besides its rays to other first surfaces, counted in those.
 const SURFACE: f64 = 4.0;
@@ -28,7 +30,7 @@ const DARK: f64 = 0.01;
 
 /// Whether reusing paths makes less work of the same error.
 pub(super) fn reuse_pays(tracer: &Tracer) -> bool {
-    let settings = Settings { spp: SAMPLES, seed: 0, half: Half::Both, ..tracer.settings.clone() };
+    let settings = Settings { spp: SAMPLES, seed: SEED, half: Half::Both, ..tracer.settings.clone() };
     let mut pilot = Tracer {
         world: tracer.world.clone(),
         camera: tracer.camera.clone(),
