@@ -7,7 +7,7 @@ use crate::bvh::simd::{Isa, Kernel, Lanes, Portable};
 use crate::camera::{Camera, CameraRay};
 use crate::film::{RadianceError, TileSums};
 use crate::filter::{FilterTable, box_sample};
-use crate::integrator::reuse::BLOCK;
+use crate::integrator::reuse::{BLOCK, is_possible};
 use crate::integrator::rows::{Vec3s, WIDTH};
 use crate::integrator::{Estimator, Paths, Start, Tag, Tally};
 use crate::sampler::{Sampler, Samplers};
@@ -64,9 +64,8 @@ impl Tracer {
         settings.validate()?;
         let camera = Camera::new(&world.sensor, &settings.film);
         let filter = FilterTable::new(settings.film.filter);
-        let mut tracer = Self { world, settings, camera, filter, isa, reuses: reuse };
-        tracer.reuses = tracer.estimator().reuses();
-        Ok(tracer)
+        let reuses = reuse && is_possible(&settings);
+        Ok(Self { world, settings, camera, filter, isa, reuses })
     }
 
     /// Whether paths are reused.
@@ -113,12 +112,12 @@ impl Tracer {
 
     /// The size of the blocks of pixels that reuse each other's paths.
     fn block(&self) -> [u32; 2] {
-        if self.estimator().reuses() { BLOCK } else { [1, 1] }
+        if self.reuses { BLOCK } else { [1, 1] }
     }
 
     fn estimator(&self) -> Estimator {
         let Settings { integrator, strategy, without, offsets, .. } = self.settings;
-        Estimator { integrator, strategy, without, offsets, may_reuse: self.reuses }
+        Estimator { integrator, strategy, without, offsets, reuses: self.reuses }
     }
 
     #[inline(always)]
@@ -201,7 +200,7 @@ struct TilePaths<'a> {
     /// What comes next: the block, counted among those, and the index of the sample.
     next: (u32, u32),
     is_stopped: bool,
-    /// The first pixel and sample without a value, as far as is known.
+    /// The first sample without a value, as far as is known: its pixel and index.
     failed: Option<(u32, u32, RadianceError)>,
     /// Made ready in advance, many at a time.
     ready: Box<Ready<'a>>,
@@ -290,6 +289,14 @@ impl<'a> TilePaths<'a> {
         self.waiting = 0..count;
     }
 
+    /// When a sample begins among the others.
+    fn order(&self, pixel: u32, index: u32) -> (u32, u32, u32) {
+        let (tile, [across, down]) = (self.sums.tile, self.block);
+        let (x, y) = (tile.x0 + pixel % tile.width(), tile.y0 + pixel / tile.width());
+        let (column, row) = (x / across - self.blocks.x0, y / down - self.blocks.y0);
+        (row * self.blocks.width() + column, index, pixel)
+    }
+
     fn finish(self) -> Result<Option<TileSums>, SampleError> {
         if let Some((pixel, index, error)) = self.failed {
             let Window { x0, y0, x1, .. } = self.sums.tile;
@@ -330,7 +337,7 @@ impl Paths for TilePaths<'_> {
         let scale_exponent = self.tracer.settings.scale_exponent;
         let added = self.sums.pixels[pixel as usize].add(index, radiance * weight, scale_exponent);
         if let Err(error) = added
-            && self.failed.is_none_or(|(other, sooner, _)| (pixel, index) < (other, sooner))
+            && self.failed.is_none_or(|(other, its, _)| self.order(pixel, index) < self.order(other, its))
         {
             self.failed = Some((pixel, index, error));
         }

@@ -215,7 +215,7 @@ impl Estimator {
         }
         wave.state[i] = State::Surface;
         wave.is_diffuse[i] = false;
-        wave.coats.is_some[i] = false;
+        wave.is_coat[i] = false;
         let shape = wave.surfaces.shape[i];
         if let Some(lambert) = world.materials.lambert(shape) {
             let back = lambert.back.filter(|_| wave.is_turned[i]);

@@ -9,10 +9,8 @@ use crate::scene::Distribution;
 use crate::shading::Shading;
 use glam::{Vec2, Vec3};
 
-/// Rough plastics with GGX facets, as the paths see them.
+/// Rough plastics with GGX facets, as they are seen; meaningless where there is none. Their bases lie where Lambert's albedos would.
 pub(super) struct Coats<const N: usize = WIDTH> {
-    /// The path is at one, and nothing bends it; else the rest is meaningless. (Its base lies where a Lambert's albedo would.)
-    pub is_some: [bool; N],
     alpha: [f32; N],
     eta: [f32; N],
     specular: Vec3s<N>,
@@ -26,7 +24,6 @@ pub(super) struct Coats<const N: usize = WIDTH> {
 
 impl<const N: usize> Coats<N> {
     pub const NONE: Self = Self {
-        is_some: [false; N],
         alpha: [1.0; N],
         eta: [1.0; N],
         specular: Vec3s::ZERO,
@@ -36,13 +33,12 @@ impl<const N: usize> Coats<N> {
         leaves: [0.0; N],
     };
 
-    /// Lays out the rough plastic of a surface seen from `wo`, and tells its base, if it is one.
+    /// Lays out the rough plastic of a surface seen from `wo`, and tells its base, if it is one that nothing bends.
     #[inline(always)]
     pub fn lay_out(&mut self, i: usize, shading: &Shading, wo: Vec3) -> Option<Vec3> {
         let (Closure::RoughPlastic(plastic), None) = (&shading.closure, &shading.tilt) else { return None };
         let seen = plastic.seen_from(wo);
         let alpha = seen.facets.round_ggx()?;
-        self.is_some[i] = true;
         (self.alpha[i], self.eta[i]) = (alpha, seen.eta);
         self.specular.set(i, seen.specular_reflectance);
         (self.enters[i], self.share[i]) = (seen.enters, seen.share);
@@ -83,6 +79,7 @@ impl Wave<'_> {
     pub fn lay_out_coat(&mut self, i: usize) {
         let wo = self.wo.at(i);
         if let Some(base) = self.coats.lay_out(i, &self.shadings[i], wo) {
+            self.is_coat[i] = true;
             self.albedo.set(i, base);
         }
     }
@@ -92,7 +89,7 @@ impl Wave<'_> {
     fn look_up_leaves(&mut self, count: usize, cos: impl Fn(&Self, usize) -> f32) {
         for k in 0..count {
             let i = self.chosen[k];
-            if self.coats.is_some[i] {
+            if self.is_coat[i] {
                 let cos = cos(self, i);
                 self.coats.look_up_leaves(i, &self.shadings[i], cos);
             }
@@ -125,7 +122,7 @@ impl Kernel for Evaluate<'_, '_> {
         let Self(wave, with_bsdf) = self;
         for i in 0..WIDTH {
             let evaluation = wave.coats.eval(i, wave.albedo.at(i), wave.wo.at(i), wave.towards_light(i));
-            weigh_if(wave, i, evaluation, with_bsdf, wave.coats.is_some[i]);
+            weigh_if(wave, i, evaluation, with_bsdf, wave.is_coat[i]);
         }
     }
 }
@@ -160,7 +157,7 @@ impl Kernel for Weights<'_, '_> {
         for i in 0..WIDTH {
             let (sample, is_some) =
                 wave.coats.at(i, wave.albedo.at(i)).sample(wave.wo.at(i), wave.coats.wi.at(i), wave.coats.leaves[i]);
-            wave.next.set_if(i, sample, is_some, &wave.frame.at(i), wave.coats.is_some[i]);
+            wave.next.set_if(i, sample, is_some, &wave.frame.at(i), wave.is_coat[i]);
         }
     }
 }

@@ -58,8 +58,8 @@ pub struct Estimator {
     pub without: Without,
     /// Where rays leave surfaces.
     pub offsets: Offsets,
-    /// Paths may be reused, if the rest allows it.
-    pub may_reuse: bool,
+    /// Whether paths are reused: only where [`reuse::is_possible`].
+    pub reuses: bool,
 }
 
 /// How a ray came about: what weighs an emitter that it finds.
@@ -129,7 +129,7 @@ impl Estimator {
         let Some(Start { sampler: like, tag, .. }) = first else { return Tally::default() };
         let branches = self.integrator.kind == IntegratorKind::Direct && !self.without.splitting;
         let mut wave = Wave::new(self.rules(), tag, branches);
-        wave.groups = self.reuses().then(Groups::new);
+        wave.groups = self.reuses.then(Groups::new);
         while self.refill(lanes, &mut wave, &mut first, paths, witness) {
             self.arrive(lanes, world, &mut wave, &like, witness);
             if !branches {

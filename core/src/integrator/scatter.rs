@@ -33,7 +33,7 @@ impl Estimator {
             wave.chosen[count] = i;
             let is_chosen = wave.state[i] == State::Surface;
             count += usize::from(is_chosen);
-            has_coats |= is_chosen & wave.coats.is_some[i];
+            has_coats |= is_chosen & wave.is_coat[i];
         }
         wave.tally.surfaces += count as u64;
         self.choose_directions(lanes, wave, count, has_coats);
@@ -72,7 +72,7 @@ impl Estimator {
         }
         for k in 0..count {
             let i = wave.chosen[k];
-            let is_other = !wave.is_diffuse[i] && !wave.coats.is_some[i];
+            let is_other = !wave.is_diffuse[i] && !wave.is_coat[i];
             if wave.lights.is_some[i] && is_other && !wave.seats[i].is_at_meeting() {
                 let (shading, wo, wi) = (&wave.shadings[i], wave.wo.at(i), wave.towards_light(i));
                 let evaluation = lanes.run(Eval { shading, wo, wi });
@@ -147,7 +147,7 @@ impl Estimator {
         }
         for k in 0..count {
             let i = wave.chosen[k];
-            if by_bsdf && (wave.is_diffuse[i] || wave.coats.is_some[i]) {
+            if by_bsdf && (wave.is_diffuse[i] || wave.is_coat[i]) {
                 continue;
             }
             if wave.is_diffuse[i] {

@@ -85,6 +85,7 @@ pub(super) struct Wave<'w> {
     pub shadings: [Shading<'w>; WIDTH],
     pub is_diffuse: [bool; WIDTH],
     pub albedo: Vec3s,
+    pub is_coat: [bool; WIDTH],
     pub coats: Coats,
 
     pub numbers: Numbers,
@@ -152,6 +153,7 @@ impl<'w> Wave<'w> {
             shadings: [Shading { closure: Closure::Null, frame: Frame::around(Vec3::Z), tilt: None }; WIDTH],
             is_diffuse: [false; WIDTH],
             albedo: Vec3s::ZERO,
+            is_coat: [false; WIDTH],
             coats: Coats::NONE,
             numbers: Numbers {
                 lobe: [0.0; WIDTH],

@@ -10,6 +10,7 @@ use crate::filter::FilterTable;
 use crate::integrator::Tally;
 use crate::integrator::reuse::BLOCK;
 use crate::settings::{Half, Settings, Window};
+use rayon::prelude::*;
 use std::sync::atomic::AtomicBool;
 
 /// Blocks that are traced, at most: some thousand paths either way, a few hundredths of a second.
@@ -67,37 +68,41 @@ struct Block {
 }
 
 impl Tracer {
-    /// Traces the pilot's blocks; none where a sample has no value, which the render will tell.
+    /// Traces the pilot's blocks, on the current rayon pool; none where a sample has no value, which the render will tell.
     fn seen(&self) -> Option<Seen> {
         let film = &self.settings.film;
         let (columns, rows) = (film.width.div_ceil(BLOCK[0]), film.height.div_ceil(BLOCK[1]));
         let count = columns.saturating_mul(rows).min(BLOCKS);
-        let mut seen = Seen { blocks: Vec::new(), cost: 0.0 };
-        for n in 0..count {
+        let block = |n: u32| {
             // Evenly over the rows, and by the golden ratio over the columns.
             let row = (f64::from(n) + 0.5) / f64::from(count) * f64::from(rows);
             let column = (f64::from(n) * GOLDEN_RATIO).fract() * f64::from(columns);
             let (x0, y0) = (column as u32 * BLOCK[0], row as u32 * BLOCK[1]);
             let (x1, y1) = ((x0 + BLOCK[0]).min(film.width), (y0 + BLOCK[1]).min(film.height));
-            let tile = Window { x0, x1, y0, y1 };
-            let never = AtomicBool::new(false);
-            let unit = TraceTile { tracer: self, tile, samples: 0..SAMPLES, stop: &never };
-            let (sums, Tally { surfaces, links }) = self.isa.dispatch(unit);
-            let mut settings = self.settings.clone();
-            settings.film.crop = tile;
-            let mut part = Film::new(&settings);
-            part.merge(&sums.ok()??);
-            let mut channels = [Block::default(); 3];
-            for (x, y) in (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y))) {
-                let Estimate { mean, variance, .. } = part.estimate(x, y);
-                for (channel, (mean, variance)) in channels.iter_mut().zip(mean.into_iter().zip(variance)) {
-                    channel.mean += f64::from(mean);
-                    channel.variance += f64::from(variance);
-                }
+            self.seen_in(Window { x0, x1, y0, y1 })
+        };
+        let blocks = (0..count).into_par_iter().map(block).collect::<Option<Vec<_>>>()?;
+        let cost = blocks.iter().map(|(_, cost)| cost).sum();
+        Some(Seen { blocks: blocks.into_iter().flat_map(|(channels, _)| channels).collect(), cost })
+    }
+
+    /// Traces a block: what is seen in each channel, and its cost.
+    fn seen_in(&self, tile: Window) -> Option<([Block; 3], f64)> {
+        let never = AtomicBool::new(false);
+        let unit = TraceTile { tracer: self, tile, samples: 0..SAMPLES, stop: &never };
+        let (sums, Tally { surfaces, links }) = self.isa.dispatch(unit);
+        let mut settings = self.settings.clone();
+        settings.film.crop = tile;
+        let mut part = Film::new(&settings);
+        part.merge(&sums.ok()??);
+        let mut channels = [Block::default(); 3];
+        for (x, y) in (tile.y0..tile.y1).flat_map(|y| (tile.x0..tile.x1).map(move |x| (x, y))) {
+            let Estimate { mean, variance, .. } = part.estimate(x, y);
+            for (channel, (mean, variance)) in channels.iter_mut().zip(mean.into_iter().zip(variance)) {
+                channel.mean += f64::from(mean);
+                channel.variance += f64::from(variance);
             }
-            seen.blocks.extend(channels);
-            seen.cost += SURFACE * surfaces as f64 + links as f64;
         }
-        Some(seen)
+        Some((channels, SURFACE * surfaces as f64 + links as f64))
     }
 }

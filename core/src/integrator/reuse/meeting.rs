@@ -1,16 +1,20 @@
 //! A group at its second surfaces.
 
 use super::super::power_heuristic;
+use super::super::rows::{Frames, NONE, Vec3s};
+use super::super::wave::{State, Wave};
 use super::scatterers::Scatterers;
-use super::*;
+use super::{GROUP, Group};
 use crate::bsdf::Closure;
 use crate::bvh::Ray;
-use crate::bvh::simd::Kernel;
+use crate::bvh::simd::{Kernel, Lanes};
 use crate::frame::Frame;
-use crate::integrator::rows::{Frames, Vec3s};
 use crate::settings::Offsets;
 use crate::shading::Shading;
 use crate::surface::{SHADOW_END, offset};
+use crate::witness::{Event, Witness};
+use crate::world::World;
+use glam::Vec3;
 
 /// The first surfaces of a group, and what connects them with the second ones.
 pub(super) struct Meeting<'w> {

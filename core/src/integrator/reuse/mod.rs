@@ -21,10 +21,10 @@ mod meeting;
 mod scatterers;
 
 use super::rows::NONE;
-use super::wave::{State, Wave};
+use super::wave::Wave;
 use super::{Estimator, Tag};
 use crate::bvh::simd::Lanes;
-use crate::settings::{IntegratorKind, Strategy};
+use crate::settings::{IntegratorKind, Settings, Strategy};
 use crate::witness::{Event, Witness};
 use crate::world::World;
 use glam::Vec3;
@@ -84,6 +84,20 @@ impl Seat {
     #[inline(always)]
     pub fn is_at_meeting(self) -> bool {
         self.meeting != NONE
+    }
+}
+
+impl Group {
+    /// What these paths have found for the pixel of path k.
+    #[inline(always)]
+    fn found_for(&self, k: usize, these: impl Fn(usize) -> bool) -> Vec3 {
+        let mut gained = Vec3::ZERO;
+        for j in 0..self.count {
+            if self.is_shared[j] && these(j) {
+                gained += self.weights[j][k] * self.found[j];
+            }
+        }
+        gained
     }
 }
 
@@ -151,17 +165,8 @@ impl<'w> Groups<'w> {
             return;
         }
         for k in 0..group.count {
-            let mut gained = Vec3::ZERO;
-            let mut others = Vec3::ZERO;
-            for j in 0..group.count {
-                if group.is_shared[j] {
-                    let part = group.weights[j][k] * group.found[j];
-                    gained += part;
-                    others += if j == k { Vec3::ZERO } else { part };
-                }
-            }
-            witness.see(k, || Event::Others { gained: others });
-            hand_over(group.tags[k], group.own[k] + gained);
+            witness.see(k, || Event::Others { gained: group.found_for(k, |j| j != k) });
+            hand_over(group.tags[k], group.own[k] + group.found_for(k, |_| true));
         }
         self.free.push(id);
     }
@@ -173,17 +178,16 @@ impl<'w> Groups<'w> {
     }
 }
 
-impl Estimator {
-    /// Whether paths are reused.
-    pub(crate) fn reuses(&self) -> bool {
-        // Directions must have been chosen by the materials, and roulette must not have been played at first surfaces.
-        self.may_reuse
-            && !self.without.path_reuse
-            && self.integrator.kind == IntegratorKind::Path
-            && self.integrator.rr_depth > 1
-            && matches!(self.strategy, Strategy::Bsdf | Strategy::Light | Strategy::Mis)
-    }
+/// Whether paths may be reused.
+pub(crate) fn is_possible(settings: &Settings) -> bool {
+    // Directions must have been chosen by the materials, and roulette must not have been played at first surfaces.
+    !settings.without.path_reuse
+        && settings.integrator.kind == IntegratorKind::Path
+        && settings.integrator.rr_depth > 1
+        && matches!(settings.strategy, Strategy::Bsdf | Strategy::Light | Strategy::Mis)
+}
 
+impl Estimator {
     /// Paths that are at surfaces have just come there: groups at their second surfaces meet, those at their first ones remember
     /// them.
     #[inline(always)]
