@@ -42,7 +42,7 @@ use tilecast_proto::types::{JobId, JobSpec, JobState};
 use tilecast_proto::wire;
 use tokio_util::sync::CancellationToken;
 
-const JOB_KIND: Kind = *b"tilecast job  02";
+const JOB_KIND: Kind = *b"tilecast job  03";
 const END_KIND: Kind = *b"tilecast end  01";
 const STARTS_KIND: Kind = *b"tilecast strt 01";
 /// Entries on their way to the disk: a slow disk holds up workers rather than filling the memory.

@@ -27,6 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     settings.without.early_roulette |= off("early-roulette");
     settings.without.blind_ends |= off("blind-ends");
     settings.without.path_reuse |= off("path-reuse");
+    settings.without.environment_cosine |= off("environment-cosine");
     let isa =
         std::env::var("ISA").map_or(Some(Isa::detect()), |name| Isa::from_name(&name).filter(|isa| isa.is_available()));
     let isa = isa.ok_or("this machine has no path of the name in ISA")?;

@@ -69,13 +69,15 @@ impl Sampler {
     /// The position on the film, in [0,1)².
     #[inline(always)]
     pub fn film(&self) -> Vec2 {
-        self.pair(0, 0, 0)
+        let [x, y] = self.pair(0, 0, 0);
+        Vec2::new(unit(x), unit(y))
     }
 
     /// The position on the lens, in [0,1)².
     #[inline(always)]
     pub fn lens(&self) -> Vec2 {
-        self.pair(1, 0, 2)
+        let [x, y] = self.pair(1, 0, 2);
+        Vec2::new(unit(x), unit(y))
     }
 
     /// From here on, slots are those of the surface at `depth` (0: the first hit).
@@ -110,16 +112,23 @@ impl Sampler {
     /// Two numbers in [0,1)².
     #[inline(always)]
     pub fn two(&self, slot: Slot) -> Vec2 {
+        let [x, y] = self.two_fractions(slot);
+        Vec2::new(unit(x), unit(y))
+    }
+
+    /// Two numbers as fractions of 2^32, which [`unit`] makes floats of, less the last eight bits.
+    #[inline(always)]
+    pub fn two_fractions(&self, slot: Slot) -> [u32; 2] {
         self.pair(self.base.wrapping_add(slot as u32), self.base, JOINT[slot as usize])
     }
 
     /// Burley 2020, "Practical Hash-based Owen Scrambling", section 4: the index is shuffled, then each coordinate of the
     /// Sobol' point is scrambled by itself. The first coordinate is the index with its bits reversed.
     #[inline(always)]
-    fn pair(&self, slot: u32, group: u32, dimension: u32) -> Vec2 {
+    fn pair(&self, slot: u32, group: u32, dimension: u32) -> [u32; 2] {
         if self.kind == SamplerKind::Independent {
             let hash = self.hash(slot);
-            return Vec2::new(unit(hash as u32), unit((hash >> 32) as u32));
+            return [hash as u32, (hash >> 32) as u32];
         }
         let (index, hash) = self.point(slot, group);
         let (x, y) = match self.kind {
@@ -127,8 +136,7 @@ impl Sampler {
             _ => (index, pascal(index)),
         };
         let x = scramble_reversed(x, (hash >> 32) as u32);
-        let y = scramble_reversed(y, mix32(hash as u32 ^ 0x9e37_79b9));
-        Vec2::new(unit(x), unit(y))
+        [x, scramble_reversed(y, mix32(hash as u32 ^ 0x9e37_79b9))]
     }
 
     /// The shuffled index of the Sobol' point and the hash that scrambles its coordinates.
@@ -191,8 +199,14 @@ impl<const N: usize> Samplers<N> {
 
 /// The top 24 bits as a fraction: every value is exact and below 1.
 #[inline(always)]
-fn unit(bits: u32) -> f32 {
+pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
+}
+
+/// The inverse of [`unit`], with the eight bits that it drops.
+#[inline(always)]
+pub fn fraction(u: f32, rest: u32) -> u32 {
+    ((u * 16_777_216.0) as u32).min(16_777_215) << 8 | rest & 0xff
 }
 
 /// The finaliser of SplitMix64 (Steele, Lea & Flood 2014): a bijection that mixes every bit.

@@ -47,6 +47,9 @@ pub struct Without {
     /// What was rendered before there was such a thing was rendered without.
     #[serde(default = "yes")]
     pub path_reuse: bool,
+    /// Directions to an environment map are chosen by the cosine at the surface as well. Older images were rendered without.
+    #[serde(default = "yes")]
+    pub environment_cosine: bool,
 }
 
 fn yes() -> bool {

@@ -4,7 +4,7 @@ use crate::wire;
 use std::fmt;
 
 /// Version of the messages in `render.proto`; grows with every change that is not merely an addition.
-pub const PROTOCOL: u32 = 5;
+pub const PROTOCOL: u32 = 6;
 
 /// What one side speaks and traces with.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -60,6 +60,8 @@ pub enum SavingName {
     BlindEnds,
     /// Paths that count for neighbouring pixels, too, where a pilot finds that it pays
     PathReuse,
+    /// Choosing directions to an environment map by the cosine at the surface as well
+    EnvironmentCosine,
 }
 
 /// These switched off.
@@ -71,6 +73,7 @@ pub fn without(names: &[SavingName]) -> Without {
             SavingName::EarlyRoulette => without.early_roulette = true,
             SavingName::BlindEnds => without.blind_ends = true,
             SavingName::PathReuse => without.path_reuse = true,
+            SavingName::EnvironmentCosine => without.environment_cosine = true,
         }
     }
     without

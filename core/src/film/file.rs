@@ -15,7 +15,7 @@ use std::io::{self, Read, Write};
 use std::ops::Range;
 
 /// What a film file begins with.
-pub const KIND: Kind = *b"tilecast film 03";
+pub const KIND: Kind = *b"tilecast film 04";
 /// Pixels of a part, so that its record stays within [`super::records::RECORD_BYTES_MAX`].
 pub const PART_PIXELS_MAX: u64 = 1 << 16;
 /// Sample ranges of a part; a film in the making has a few, one that was patched together some more.

@@ -3,7 +3,7 @@
 use super::Origin;
 use crate::bsdf::Sample;
 use crate::frame::Frame;
-use crate::lights::LightSample;
+use crate::lights::{Facing, LightSample};
 use crate::surface::Surface;
 use glam::{Vec2, Vec3};
 
@@ -66,6 +66,8 @@ pub(super) struct Origins {
     pub normal: Vec3s,
     /// Density of the direction, in solid angle; infinite where light sampling could not have found it.
     pub pdf: [f32; WIDTH],
+    /// Which way the surface looks that is in hand, or that the rays come from.
+    pub facing: [Facing; WIDTH],
 }
 
 impl Origins {
@@ -236,6 +238,8 @@ pub(super) struct Numbers {
     pub direction: Vec2s,
     pub light: [f32; WIDTH],
     pub light_point: Vec2s,
+    /// The bits of those that a float has no room for.
+    pub light_point_rest: [[u32; WIDTH]; 2],
     pub roulette: [f32; WIDTH],
 }
 

@@ -7,7 +7,7 @@ use super::{BRANCHES, Estimator, power_heuristic};
 use crate::bsdf::{Diffuse, Evaluation, Sample};
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::lights::Plain;
-use crate::sampler::{Sampler, Slot};
+use crate::sampler::{Sampler, Slot, unit};
 use crate::settings::{SamplerKind, Strategy};
 use crate::shading::Shading;
 use crate::witness::{Cause, Event, Witness};
@@ -56,6 +56,7 @@ impl Estimator {
     #[inline(always)]
     fn sample_lights<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize, has_coats: bool) {
         let with_bsdf = self.strategy == Strategy::Mis;
+        self.face_sky(lanes, world, wave, count);
         let Kinds { plain, sky } = lanes.run(ChooseLights { world, wave, count });
         if plain > 0 {
             lanes.run(PlainLights(wave));
@@ -245,7 +246,10 @@ impl Draw<'_, '_> {
         for i in 0..WIDTH {
             let sampler = sampler(wave, i);
             wave.numbers.direction.set(i, sampler.two(Slot::Direction));
-            wave.numbers.light_point.set(i, sampler.two(Slot::LightPoint));
+            let [x, y] = sampler.two_fractions(Slot::LightPoint);
+            wave.numbers.light_point.set(i, Vec2::new(unit(x), unit(y)));
+            let [rest_x, rest_y] = &mut wave.numbers.light_point_rest;
+            (rest_x[i], rest_y[i]) = (x, y);
             wave.numbers.roulette[i] = sampler.one(Slot::Roulette);
         }
         for i in 0..if chooses { WIDTH } else { 0 } {

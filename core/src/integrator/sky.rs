@@ -4,7 +4,8 @@ use super::rows::{Vec2s, Vec3s, WIDTH};
 use super::wave::{State, Wave};
 use super::{Estimator, arrive::found};
 use crate::bvh::simd::{Kernel, Lanes};
-use crate::lights::{Cell, Environment, Globe, LightSample, Patch};
+use crate::lights::{Cell, Environment, Facing, Globe, LightSample, Patch, Row};
+use crate::sampler::fraction;
 use crate::settings::Strategy;
 use crate::texture::Textures;
 use crate::witness::{Cause, Event, Witness};
@@ -18,6 +19,9 @@ pub(super) struct Skies {
     row: [i32; WIDTH],
     at: Vec2s,
     height: [f32; WIDTH],
+    /// What chooses a column.
+    strip: [u32; WIDTH],
+    step: [u32; WIDTH],
     corners: [Vec3s; 4],
     heights: Vec2s,
     probability: [f32; WIDTH],
@@ -33,6 +37,8 @@ impl Skies {
         row: [0; WIDTH],
         at: Vec2s::ZERO,
         height: [0.0; WIDTH],
+        strip: [0; WIDTH],
+        step: [0; WIDTH],
         corners: [const { Vec3s::ZERO }; 4],
         heights: Vec2s::ZERO,
         probability: [0.0; WIDTH],
@@ -50,6 +56,16 @@ impl Skies {
     #[inline(always)]
     fn cell(&self, i: usize) -> Cell {
         Cell { column: self.column[i], row: self.row[i], at: self.at.at(i), height: self.height[i] }
+    }
+
+    #[inline(always)]
+    fn set_row(&mut self, i: usize, Row { row, at, strip, step }: Row) {
+        (self.row[i], self.height[i], self.strip[i], self.step[i]) = (row, at, strip, step);
+    }
+
+    #[inline(always)]
+    fn row(&self, i: usize) -> Row {
+        Row { row: self.row[i], at: self.height[i], strip: self.strip[i], step: self.step[i] }
     }
 
     #[inline(always)]
@@ -147,6 +163,19 @@ impl Estimator {
         }
     }
 
+    /// Finds out which way the surfaces in hand look, as far as the image is sampled by it.
+    #[inline(always)]
+    pub(super) fn face_sky<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave, count: usize) {
+        let Some(around) = self.around(world).filter(|_| !self.without.environment_cosine) else { return };
+        lanes.run(Facings(wave, around.environment));
+        for k in 0..count {
+            let i = wave.chosen[k];
+            if !wave.is_diffuse[i] && wave.shadings[i].closure.transmits() {
+                wave.from.facing[i] = Facing::ANY;
+            }
+        }
+    }
+
     /// Samples the image for the surfaces that have chosen it as their light.
     #[inline(always)]
     pub(super) fn sample_sky<L: Lanes>(&self, lanes: L, world: &World, wave: &mut Wave) {
@@ -155,6 +184,21 @@ impl Estimator {
         lanes.run(Patches(wave, around));
         lanes.run(Directions(wave, around.globe()));
         lanes.run(SkyLights(wave));
+    }
+}
+
+/// Which way surfaces look.
+struct Facings<'a, 'w>(&'a mut Wave<'w>, &'a Environment);
+
+impl Kernel for Facings<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, _: L) {
+        let Self(wave, environment) = self;
+        for i in 0..WIDTH {
+            wave.from.facing[i] = environment.facing(wave.frame.n.at(i));
+        }
     }
 }
 
@@ -185,7 +229,7 @@ impl Kernel for Patches<'_, '_> {
         let Self(wave, Around { textures, environment, mis, .. }) = self;
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
-                let patch = environment.patch(textures, &wave.sky.cell(i), mis);
+                let patch = environment.patch(textures, &wave.sky.cell(i), wave.from.facing[i], mis);
                 wave.sky.set_patch(i, &patch);
             }
         }
@@ -220,14 +264,17 @@ impl Kernel for Choices<'_, '_> {
         let Self(wave, Around { textures, environment, mis, .. }) = self;
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
-                let (row, u) = environment.choose_row(wave.lights.u.at(i), mis);
-                wave.sky.row[i] = row;
-                wave.lights.u.set(i, u);
+                let (u, [x, y]) = (wave.lights.u.at(i), &wave.numbers.light_point_rest);
+                let numbers = [fraction(u.x, x[i]), fraction(u.y, y[i])];
+                match environment.choose_row(numbers, wave.from.facing[i], mis) {
+                    Some(row) => wave.sky.set_row(i, row),
+                    None => wave.sky.is_some[i] = false,
+                }
             }
         }
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
-                let cell = environment.choose_column(wave.sky.row[i], wave.lights.u.at(i), mis);
+                let cell = environment.choose_column(wave.sky.row(i), mis);
                 environment.prefetch(textures, &cell, mis);
                 wave.sky.set_cell(i, &cell);
             }

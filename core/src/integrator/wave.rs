@@ -11,6 +11,7 @@ use crate::bsdf::{Closure, Diffuse};
 use crate::bvh::Ray;
 use crate::frame::Frame;
 use crate::geometry::Hit;
+use crate::lights::Facing;
 use crate::sampler::Samplers;
 use crate::shading::Shading;
 use crate::witness::{Event, Witness};
@@ -126,7 +127,12 @@ impl<'w> Wave<'w> {
             origin: Vec3s::ZERO,
             direction: Vec3s::ZERO,
             t_max: [0.0; WIDTH],
-            from: Origins { position: Vec3s::ZERO, normal: Vec3s::ZERO, pdf: [0.0; WIDTH] },
+            from: Origins {
+                position: Vec3s::ZERO,
+                normal: Vec3s::ZERO,
+                pdf: [0.0; WIDTH],
+                facing: [Facing::ANY; WIDTH],
+            },
             depth: [0; WIDTH],
             throughput: Vec3s::ZERO,
             share: [1.0; WIDTH],
@@ -160,6 +166,7 @@ impl<'w> Wave<'w> {
                 direction: Vec2s::ZERO,
                 light: [0.0; WIDTH],
                 light_point: Vec2s::ZERO,
+                light_point_rest: [[0; WIDTH]; 2],
                 roulette: [0.0; WIDTH],
             },
             light: [NONE; WIDTH],

@@ -1,7 +1,8 @@
 //! What lies beyond the scene: radiance by direction, and directions by radiance.
 
-use super::environment::Environment;
+use super::environment::{Environment, Facing};
 use super::luminance;
+use crate::sampler::fraction;
 use crate::texture::Textures;
 use crate::warp::{UNIFORM_SPHERE_PDF, uniform_sphere};
 use glam::{Vec2, Vec3};
@@ -21,7 +22,7 @@ impl Background {
     pub fn at(&self, textures: &Textures, wi: Vec3, mis: bool) -> (Vec3, f32) {
         match self {
             Background::Constant(radiance) => (*radiance, UNIFORM_SPHERE_PDF),
-            Background::Environment(environment) => environment.at(textures, wi, mis),
+            Background::Environment(environment) => environment.at(textures, wi, Facing::ANY, mis),
         }
     }
 
@@ -30,7 +31,10 @@ impl Background {
     pub fn sample(&self, textures: &Textures, u: Vec2, mis: bool) -> (Vec3, Vec3, f32) {
         match self {
             Background::Constant(radiance) => (uniform_sphere(u), *radiance, UNIFORM_SPHERE_PDF),
-            Background::Environment(environment) => environment.sample(textures, u, mis),
+            Background::Environment(environment) => {
+                let numbers = [u.x, u.y].map(|u| fraction(u, 0));
+                environment.sample(textures, numbers, Facing::ANY, mis).unwrap_or((Vec3::Z, Vec3::ZERO, 0.0))
+            }
         }
     }
 

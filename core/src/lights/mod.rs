@@ -22,7 +22,7 @@ use crate::surface::Surface;
 use crate::texture::Textures;
 use background::Background;
 use choice::Choice;
-pub use environment::{Cell, Environment, Globe, Patch};
+pub use environment::{Cell, Environment, Facing, Globe, Patch, Row};
 use glam::{Vec2, Vec3};
 use list::Light;
 pub use plain::Plain;

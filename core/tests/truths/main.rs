@@ -6,6 +6,7 @@ mod analytic;
 mod build;
 mod closed;
 mod invariance;
+mod means;
 mod offsets;
 mod precise;
 mod replay;

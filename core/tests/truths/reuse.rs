@@ -1,61 +1,13 @@
 //! Paths that are reused leave every pixel its expected value, between materials of all kinds and far from each other.
 
 use crate::build::{camera, loaded, long, room, scene, scene_path, settings, shape};
+use crate::means::{SIDE, difference};
 use crate::robust::{Dice, material};
 use glam::{Affine3, Vec3};
-use rayon::prelude::*;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use tilecast_core::bvh::simd::Isa;
-use tilecast_core::film::Film;
 use tilecast_core::scene::{Bsdf, BsdfId, Emitter, Geometry, MeshId, Scene, Sensor, Shape, Texture, TextureId};
 use tilecast_core::settings::{IntegratorKind, SamplerKind, Settings, Strategy};
-use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
-
-/// One block is the whole picture, so that the first surfaces that reuse each other's paths are far apart.
-const SIDE: u32 = 4;
-const VALUES: usize = (3 * SIDE * SIDE) as usize;
-/// Renders that tell mean and spread.
-const RENDERS: u64 = 16;
-
-/// Mean of a few renders, and the variance of that mean, by pixel and channel.
-fn averaged(world: &Arc<World>, job: &Settings, reuse: bool) -> Vec<[f64; 2]> {
-    let never = AtomicBool::new(false);
-    let renders: Vec<Vec<f64>> = (0..RENDERS)
-        .into_par_iter()
-        .map(|seed| {
-            let job = Settings { seed: 2 * seed + u64::from(reuse), ..job.clone() };
-            let tracer = Tracer::with_reuse(world.clone(), job.clone(), Isa::detect(), reuse).unwrap();
-            assert_eq!(tracer.reuses(), reuse);
-            let mut film = Film::new(&job);
-            film.merge(&tracer.trace(job.film.crop, 0..job.spp, &never).unwrap().unwrap());
-            let pixels = (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y)));
-            pixels.flat_map(|(x, y)| film.estimate(x, y).mean.map(f64::from)).collect()
-        })
-        .collect();
-    let n = RENDERS as f64;
-    let of_value = |i: usize| {
-        let mean = renders.iter().map(|values| values[i]).sum::<f64>() / n;
-        let spread = renders.iter().map(|values| (values[i] - mean).powi(2)).sum::<f64>();
-        [mean, spread / (n * (n - 1.0))]
-    };
-    (0..VALUES).map(of_value).collect()
-}
-
-/// The mean of z² over pixels and channels of renders with and without reuse, one if they differ by chance alone (and a little
-/// more since variances are estimated). What chance does not touch must be the same.
-fn difference(what: &str, world: &Arc<World>, job: &Settings) -> f64 {
-    let (with, without) = (averaged(world, job, true), averaged(world, job, false));
-    let mut squares = 0.0;
-    for (i, ([a, va], [b, vb])) in with.into_iter().zip(without).enumerate() {
-        // Rounding, where nothing else differs.
-        let z = (a - b) / (va + vb + (1e-6 * (a + b)).powi(2) + 1e-30).sqrt();
-        assert!(z.abs() < 9.0, "{what}, value {i}: {a} with, {b} without, z {z}");
-        squares += z * z;
-    }
-    squares / VALUES as f64
-}
 
 /// A room whose walls are of one material, with a ball of another, a lamp, and a mirror ball.
 fn any_room(dice: &mut Dice) -> Scene {
@@ -113,7 +65,7 @@ fn all_materials_keep_their_means() {
         job.integrator.max_depth = Some(6);
         let of: Vec<String> = any.bsdfs[1..].iter().map(|bsdf| format!("{bsdf:?}")).collect();
         let what = format!("seed {seed}, {:?} in a room of\n{}", job.strategy, of.join("\n"));
-        let squares = difference(&what, &Arc::new(World::compile(&any)), &job);
+        let squares = difference(&what, &Arc::new(World::compile(&any)), [(&job, true), (&job, false)]);
         assert!(squares < 5.0, "{what}: z of {}", squares.sqrt());
         sum += squares;
     }
@@ -130,7 +82,7 @@ fn scenes_keep_their_means() {
         for sampler in [SamplerKind::Sobol, SamplerKind::SobolJoint, SamplerKind::SobolZ, SamplerKind::Independent] {
             let mut job = Settings { sampler, ..job.clone() };
             job.integrator.kind = IntegratorKind::Path;
-            let squares = difference(&format!("{name}, {sampler:?}"), &world, &job);
+            let squares = difference(&format!("{name}, {sampler:?}"), &world, [(&job, true), (&job, false)]);
             assert!(squares < 3.0, "{name}, {sampler:?}: z of {}", squares.sqrt());
         }
     }

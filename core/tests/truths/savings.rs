@@ -1,11 +1,17 @@
 //! What saves work changes no expected image: with and without each, pictures differ by chance alone, or not at all.
 
-use crate::build::{loaded, mean_and_error, scene_path};
+use crate::build::{camera, loaded, long, mean_and_error, scene, scene_path, settings, shape};
+use crate::means;
+use crate::robust::{Dice, material};
+use glam::{Affine3, Mat3, Vec3};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::Film;
-use tilecast_core::settings::{IntegratorKind, Window, Without};
+use tilecast_core::scene::{
+    Bsdf, BsdfId, Distribution, Emitter, Geometry, Image, ImageId, Scene, Shape, Texels, Texture, TextureId,
+};
+use tilecast_core::settings::{IntegratorKind, Settings, Strategy, Window, Without};
 use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
 
@@ -31,7 +37,8 @@ fn render(name: &str, kind: IntegratorKind, without: Without, seed: u64, columns
 /// Fails if a branch does not count for its share (by a factor of four), or roulette does not undo itself (the picture darkens).
 #[test]
 fn splitting_and_roulette_keep_the_mean() {
-    let all = Without { splitting: true, early_roulette: true, blind_ends: true, path_reuse: true };
+    let all =
+        Without { splitting: true, early_roulette: true, blind_ends: true, path_reuse: true, environment_cosine: true };
     for scene in ["cornell-box", "veach-strategies"] {
         for (kind, saving) in [
             (IntegratorKind::Direct, Without { splitting: false, ..all }),
@@ -67,4 +74,56 @@ fn reuse_does_not_show_the_tiles() {
             assert_eq!(whole.digest(), cut.digest(), "{scene} in columns of {columns}");
         }
     }
+}
+
+/// A ball on a plate, of two materials, under a sky. Opaque ones are black from behind, and are seen from there, too.
+fn outdoors(dice: &mut Dice) -> Scene {
+    let mut any = scene(camera(Vec3::Z * 3.0, Vec3::X, -Vec3::Y, -Vec3::Z), 0.5, Vec::new());
+    any.textures.extend([0.9, 0.3, 0.0].map(|x| Texture::Constant(Vec3::splat(x))));
+    any.bsdfs.extend([material(dice), material(dice)]);
+    if dice.of(4) == 0 {
+        // Light from behind it matters.
+        let (alpha_u, alpha_v, distribution, eta) = (TextureId(0), TextureId(0), Distribution::Ggx, 1.5);
+        let (specular_reflectance, specular_transmittance) = (TextureId(1), TextureId(1));
+        any.bsdfs[2] =
+            Bsdf::RoughDielectric { distribution, alpha_u, alpha_v, eta, specular_reflectance, specular_transmittance };
+    }
+    let ball = Geometry::Sphere { to_world: Affine3::from_scale(Vec3::splat(0.8)), flip_normals: dice.of(8) == 0 };
+    let tilt = Mat3::from_axis_angle(Vec3::new(0.6, 0.8, 0.0), 0.3 * dice.of(9) as f32);
+    let plate = Affine3 { matrix3: tilt * 2.0, translation: Vec3::NEG_Z };
+    let plate = Geometry::Disk { to_world: plate, flip_normals: dice.of(8) == 0 };
+    any.shapes.push(Shape { bsdf: BsdfId(1), ..shape(ball, false) });
+    any.shapes.push(Shape { bsdf: BsdfId(2), ..shape(plate, false) });
+    // Suns, which BSDFs hardly find; or a bright half, which they find as often as light sampling does.
+    let suns = dice.of(2) == 0;
+    let is_bright = |i: u32| if suns { i % 149 == 3 } else { i < 12 * 13 };
+    let texel = |i: u32| if is_bright(i) { if suns { 30.0 } else { 2.0 } } else { 0.1 * (i % 5) as f32 };
+    let texels = Texels::Rgb32((0..24 * 13).flat_map(|i| [texel(i), 0.8 * texel(i), 1.0]).collect());
+    any.images.push(Arc::new(Image { width: 24, height: 13, texels }));
+    let to_world = Mat3::from_axis_angle(Vec3::new(0.6, 0.0, 0.8), dice.of(6) as f32);
+    any.emitters.push(Emitter::Envmap { image: ImageId(0), scale: 0.5, to_world });
+    any
+}
+
+/// Choosing the sky's light by the cosine leaves every pixel its mean, whatever the material. Seen to fail when light behind glass counts as
+/// behind a wall, when the density of a ray that escapes is that of another surface's cosine, and when it is that without.
+#[test]
+fn the_cosine_keeps_the_mean() {
+    let scenes = if long() { 2000 } else { 60 };
+    let mut sum = 0.0;
+    for seed in 0..scenes {
+        let any = outdoors(&mut Dice(seed));
+        any.validate().unwrap();
+        let strategy = [Strategy::Mis, Strategy::Light][seed as usize % 2];
+        let mut with = settings(means::SIDE, 64, strategy);
+        with.integrator.max_depth = Some(5);
+        let without = Settings { without: Without { environment_cosine: true, ..with.without }, ..with.clone() };
+        let what = format!("seed {seed}, {strategy:?}, {:?}", &any.bsdfs[1..]);
+        let ways = [(&with, false), (&without, false)];
+        let squares = means::difference(&what, &Arc::new(World::compile(&any)), ways);
+        assert!(squares < 5.0, "{what}: z of {}", squares.sqrt());
+        sum += squares;
+    }
+    let mean = sum / scenes as f64;
+    assert!(mean < 1.35, "z² of {mean} on the average");
 }

@@ -45,7 +45,7 @@ impl From<&Settings> for wire::Settings {
             Offsets::Exact => wire::Offsets::Exact,
             Offsets::Mitsuba => wire::Offsets::Mitsuba,
         };
-        let Without { splitting, early_roulette, blind_ends, path_reuse } = settings.without;
+        let Without { splitting, early_roulette, blind_ends, path_reuse, environment_cosine } = settings.without;
         Self {
             width,
             height,
@@ -59,7 +59,7 @@ impl From<&Settings> for wire::Settings {
             scale_exponent: settings.scale_exponent,
             half: half.into(),
             offsets: offsets.into(),
-            without: Some(wire::Without { splitting, early_roulette, blind_ends, path_reuse }),
+            without: Some(wire::Without { splitting, early_roulette, blind_ends, path_reuse, environment_cosine }),
         }
     }
 }
@@ -99,6 +99,7 @@ impl TryFrom<wire::Settings> for Settings {
                 early_roulette: wire.early_roulette,
                 blind_ends: wire.blind_ends,
                 path_reuse: wire.path_reuse,
+                environment_cosine: wire.environment_cosine,
             }),
             half: half(message.half)?,
             offsets: offsets(message.offsets)?,

@@ -26,7 +26,13 @@ fn settings() -> Settings {
         sampler: SamplerKind::Sobol,
         half: Half::Second,
         offsets: Offsets::Mitsuba,
-        without: Without { splitting: true, early_roulette: false, blind_ends: true, path_reuse: true },
+        without: Without {
+            splitting: true,
+            early_roulette: false,
+            blind_ends: true,
+            path_reuse: true,
+            environment_cosine: true,
+        },
         scale_exponent: -3,
     }
 }
