@@ -6,6 +6,10 @@ use crate::warp::{cosine_hemisphere, cosine_hemisphere_pdf};
 use glam::{Vec2, Vec3};
 use std::f32::consts::FRAC_1_PI;
 
+/// How much more often than by its brightness the mirror is chosen: its light is found by this choice alone, where light on the base is
+/// sampled as well. Measured: 2 and 3 are alike, 5 is worse.
+const FAVOUR: f32 = 2.0;
+
 /// Its parameters.
 #[derive(Clone, Copy, Debug)]
 pub struct Plastic {
@@ -28,7 +32,7 @@ impl Plastic {
             eta,
             base: base_from_within(diffuse_reflectance, inside, eta, nonlinear),
             specular_reflectance,
-            preference: preference(specular_reflectance, diffuse_reflectance),
+            preference: preference(FAVOUR * specular_reflectance, diffuse_reflectance),
         }
     }
 
