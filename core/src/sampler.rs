@@ -116,7 +116,7 @@ impl Sampler {
         Vec2::new(unit(x), unit(y))
     }
 
-    /// Two numbers as fractions of 2^32, which [`unit`] makes floats of, less the last eight bits.
+    /// Two numbers as fractions of 2^32, which [`unit()`] makes floats of, less the last eight bits.
     #[inline(always)]
     pub fn two_fractions(&self, slot: Slot) -> [u32; 2] {
         self.pair(self.base.wrapping_add(slot as u32), self.base, JOINT[slot as usize])
@@ -203,7 +203,7 @@ pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// The inverse of [`unit`], with the eight bits that it drops.
+/// The inverse of [`unit()`], with the eight bits that it drops.
 #[inline(always)]
 pub fn fraction(u: f32, rest: u32) -> u32 {
     ((u * 16_777_216.0) as u32).min(16_777_215) << 8 | rest & 0xff
