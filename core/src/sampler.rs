@@ -69,15 +69,13 @@ impl Sampler {
     /// The position on the film, in [0,1)².
     #[inline(always)]
     pub fn film(&self) -> Vec2 {
-        let [x, y] = self.pair(0, 0, 0);
-        Vec2::new(unit(x), unit(y))
+        units(self.pair(0, 0, 0))
     }
 
     /// The position on the lens, in [0,1)².
     #[inline(always)]
     pub fn lens(&self) -> Vec2 {
-        let [x, y] = self.pair(1, 0, 2);
-        Vec2::new(unit(x), unit(y))
+        units(self.pair(1, 0, 2))
     }
 
     /// From here on, slots are those of the surface at `depth` (0: the first hit).
@@ -112,11 +110,10 @@ impl Sampler {
     /// Two numbers in [0,1)².
     #[inline(always)]
     pub fn two(&self, slot: Slot) -> Vec2 {
-        let [x, y] = self.two_fractions(slot);
-        Vec2::new(unit(x), unit(y))
+        units(self.two_fractions(slot))
     }
 
-    /// Two numbers as fractions of 2^32, which [`unit()`] makes floats of, less the last eight bits.
+    /// Two numbers as fractions of 2^32, which [`units`] makes floats of, less the last eight bits.
     #[inline(always)]
     pub fn two_fractions(&self, slot: Slot) -> [u32; 2] {
         self.pair(self.base.wrapping_add(slot as u32), self.base, JOINT[slot as usize])
@@ -199,11 +196,17 @@ impl<const N: usize> Samplers<N> {
 
 /// The top 24 bits as a fraction: every value is exact and below 1.
 #[inline(always)]
-pub fn unit(bits: u32) -> f32 {
+fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// The inverse of [`unit()`], with the eight bits that it drops.
+/// Two fractions of 2^32 as floats, each less its last eight bits.
+#[inline(always)]
+pub fn units([x, y]: [u32; 2]) -> Vec2 {
+    Vec2::new(unit(x), unit(y))
+}
+
+/// The inverse of [`units`], with the eight bits of `rest` that it drops.
 #[inline(always)]
 pub fn fraction(u: f32, rest: u32) -> u32 {
     ((u * 16_777_216.0) as u32).min(16_777_215) << 8 | rest & 0xff

@@ -204,6 +204,13 @@ impl LightSamples {
     }
 }
 
+impl Numbers {
+    #[inline(always)]
+    pub fn light_point(&self, i: usize) -> [u32; 2] {
+        [self.light_point[0][i], self.light_point[1][i]]
+    }
+}
+
 /// Directions to go on, as [`crate::bsdf::Sample`].
 pub(super) struct Samples {
     pub is_some: [bool; WIDTH],
@@ -237,9 +244,8 @@ pub(super) struct Numbers {
     pub lobe: [f32; WIDTH],
     pub direction: Vec2s,
     pub light: [f32; WIDTH],
-    pub light_point: Vec2s,
-    /// The bits of those that a float has no room for.
-    pub light_point_rest: [[u32; WIDTH]; 2],
+    /// Fractions of 2^32.
+    pub light_point: [[u32; WIDTH]; 2],
     pub roulette: [f32; WIDTH],
 }
 

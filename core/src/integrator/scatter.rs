@@ -7,7 +7,7 @@ use super::{BRANCHES, Estimator, power_heuristic};
 use crate::bsdf::{Diffuse, Evaluation, Sample};
 use crate::bvh::simd::{Kernel, Lanes};
 use crate::lights::Plain;
-use crate::sampler::{Sampler, Slot, unit};
+use crate::sampler::{Sampler, Slot, units};
 use crate::settings::{SamplerKind, Strategy};
 use crate::shading::Shading;
 use crate::witness::{Cause, Event, Witness};
@@ -247,9 +247,7 @@ impl Draw<'_, '_> {
             let sampler = sampler(wave, i);
             wave.numbers.direction.set(i, sampler.two(Slot::Direction));
             let [x, y] = sampler.two_fractions(Slot::LightPoint);
-            wave.numbers.light_point.set(i, Vec2::new(unit(x), unit(y)));
-            let [rest_x, rest_y] = &mut wave.numbers.light_point_rest;
-            (rest_x[i], rest_y[i]) = (x, y);
+            (wave.numbers.light_point[0][i], wave.numbers.light_point[1][i]) = (x, y);
             wave.numbers.roulette[i] = sampler.one(Slot::Roulette);
         }
         for i in 0..if chooses { WIDTH } else { 0 } {
@@ -304,7 +302,7 @@ impl Kernel for ChooseLights<'_, '_> {
             }
             let (position, normal) = (wave.surfaces.position.at(i), wave.surfaces.frame.n.at(i));
             let choice = if needs_choice { wave.numbers.light[i] } else { 0.0 };
-            let u = wave.numbers.light_point.at(i);
+            let u = units(wave.numbers.light_point(i));
             let Some(chosen) = world.lights.choose(position, normal, choice, u) else { continue };
             wave.lights.probability[i] = chosen.probability;
             wave.lights.u.set(i, chosen.u);

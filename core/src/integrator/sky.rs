@@ -10,6 +10,7 @@ use crate::settings::Strategy;
 use crate::texture::Textures;
 use crate::witness::{Cause, Event, Witness};
 use crate::world::World;
+use glam::Vec2;
 
 /// Where on the image paths look, and what they see there.
 pub(super) struct Skies {
@@ -60,12 +61,13 @@ impl Skies {
 
     #[inline(always)]
     fn set_row(&mut self, i: usize, Row { row, at, strip, step }: Row) {
-        (self.row[i], self.height[i], self.strip[i], self.step[i]) = (row, at, strip, step);
+        (self.row[i], self.strip[i], self.step[i]) = (row, strip, step);
+        self.at.set(i, Vec2::new(0.0, at));
     }
 
     #[inline(always)]
     fn row(&self, i: usize) -> Row {
-        Row { row: self.row[i], at: self.height[i], strip: self.strip[i], step: self.step[i] }
+        Row { row: self.row[i], at: self.at.at(i).y, strip: self.strip[i], step: self.step[i] }
     }
 
     #[inline(always)]
@@ -264,8 +266,9 @@ impl Kernel for Choices<'_, '_> {
         let Self(wave, Around { textures, environment, mis, .. }) = self;
         for i in 0..WIDTH {
             if wave.sky.is_some[i] {
-                let (u, [x, y]) = (wave.lights.u.at(i), &wave.numbers.light_point_rest);
-                let numbers = [fraction(u.x, x[i]), fraction(u.y, y[i])];
+                // What the choice of the light has left of them, and the bits that floats have no room for.
+                let (u, [x, y]) = (wave.lights.u.at(i), wave.numbers.light_point(i));
+                let numbers = [fraction(u.x, x), fraction(u.y, y)];
                 match environment.choose_row(numbers, wave.from.facing[i], mis) {
                     Some(row) => wave.sky.set_row(i, row),
                     None => wave.sky.is_some[i] = false,

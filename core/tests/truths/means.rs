@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use tilecast_core::bvh::simd::Isa;
 use tilecast_core::film::Film;
+use tilecast_core::scene::Scene;
 use tilecast_core::settings::Settings;
 use tilecast_core::trace::Tracer;
 use tilecast_core::world::World;
@@ -16,10 +17,31 @@ const VALUES: usize = (3 * SIDE * SIDE) as usize;
 const RENDERS: u64 = 16;
 
 /// A way to render: the job, and whether paths are reused.
-type Way<'a> = (&'a Settings, bool);
+pub type Way = (Settings, bool);
+
+/// A scene that looks alike in two ways.
+pub struct Case {
+    pub what: String,
+    pub scene: Scene,
+    pub ways: [Way; 2],
+}
+
+/// Every scene looks alike in its two ways, up to chance, and all of them together do.
+pub fn all_look_alike(cases: impl Iterator<Item = Case>) {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for Case { what, scene, ways } in cases {
+        scene.validate().unwrap();
+        let squares = difference(&what, &Arc::new(World::compile(&scene)), &ways);
+        assert!(squares < 5.0, "{what}: z of {}", squares.sqrt());
+        sum += squares;
+        count += 1.0;
+    }
+    let mean = sum / count;
+    assert!(mean < 1.35, "z² of {mean} on the average");
+}
 
 /// Mean of a few renders, with every other seed from `first` on, and the variance of that mean, by pixel and channel.
-fn averaged(world: &Arc<World>, (job, reuse): Way, first: u64) -> Vec<[f64; 2]> {
+fn averaged(world: &Arc<World>, &(ref job, reuse): &Way, first: u64) -> Vec<[f64; 2]> {
     let never = AtomicBool::new(false);
     let renders: Vec<Vec<f64>> = (0..RENDERS)
         .into_par_iter()
@@ -44,7 +66,7 @@ fn averaged(world: &Arc<World>, (job, reuse): Way, first: u64) -> Vec<[f64; 2]> 
 
 /// The mean of z² over pixels and channels of renders in two ways, one if they differ by chance alone (and a little more since
 /// variances are estimated). What chance does not touch must be the same.
-pub fn difference(what: &str, world: &Arc<World>, [one, other]: [Way; 2]) -> f64 {
+pub fn difference(what: &str, world: &Arc<World>, [one, other]: &[Way; 2]) -> f64 {
     let (with, without) = (averaged(world, one, 0), averaged(world, other, 1));
     let mut squares = 0.0;
     for (i, ([a, va], [b, vb])) in with.into_iter().zip(without).enumerate() {

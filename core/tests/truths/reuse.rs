@@ -1,7 +1,7 @@
 //! Paths that are reused leave every pixel its expected value, between materials of all kinds and far from each other.
 
 use crate::build::{camera, loaded, long, room, scene, scene_path, settings, shape};
-use crate::means::{SIDE, difference};
+use crate::means::{self, Case, SIDE, difference};
 use crate::robust::{Dice, material};
 use glam::{Affine3, Vec3};
 use std::sync::Arc;
@@ -57,20 +57,14 @@ fn any_room(dice: &mut Dice) -> Scene {
 #[test]
 fn all_materials_keep_their_means() {
     let rooms = if long() { 2000 } else { 60 };
-    let mut sum = 0.0;
-    for seed in 0..rooms {
-        let any = any_room(&mut Dice(seed));
-        any.validate().unwrap();
+    means::all_look_alike((0..rooms).map(|seed| {
+        let scene = any_room(&mut Dice(seed));
         let mut job = settings(SIDE, 64, [Strategy::Mis, Strategy::Bsdf, Strategy::Light][seed as usize % 3]);
         job.integrator.max_depth = Some(6);
-        let of: Vec<String> = any.bsdfs[1..].iter().map(|bsdf| format!("{bsdf:?}")).collect();
+        let of: Vec<String> = scene.bsdfs[1..].iter().map(|bsdf| format!("{bsdf:?}")).collect();
         let what = format!("seed {seed}, {:?} in a room of\n{}", job.strategy, of.join("\n"));
-        let squares = difference(&what, &Arc::new(World::compile(&any)), [(&job, true), (&job, false)]);
-        assert!(squares < 5.0, "{what}: z of {}", squares.sqrt());
-        sum += squares;
-    }
-    let mean = sum / rooms as f64;
-    assert!(mean < 1.35, "z² of {mean} on the average");
+        Case { what, scene, ways: [(job.clone(), true), (job, false)] }
+    }));
 }
 
 /// The same for the repository's scenes, and whatever random numbers are chosen by.
@@ -82,7 +76,7 @@ fn scenes_keep_their_means() {
         for sampler in [SamplerKind::Sobol, SamplerKind::SobolJoint, SamplerKind::SobolZ, SamplerKind::Independent] {
             let mut job = Settings { sampler, ..job.clone() };
             job.integrator.kind = IntegratorKind::Path;
-            let squares = difference(&format!("{name}, {sampler:?}"), &world, [(&job, true), (&job, false)]);
+            let squares = difference(&format!("{name}, {sampler:?}"), &world, &[(job.clone(), true), (job, false)]);
             assert!(squares < 3.0, "{name}, {sampler:?}: z of {}", squares.sqrt());
         }
     }

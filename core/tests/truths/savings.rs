@@ -110,20 +110,13 @@ fn outdoors(dice: &mut Dice) -> Scene {
 #[test]
 fn the_cosine_keeps_the_mean() {
     let scenes = if long() { 2000 } else { 60 };
-    let mut sum = 0.0;
-    for seed in 0..scenes {
-        let any = outdoors(&mut Dice(seed));
-        any.validate().unwrap();
+    means::all_look_alike((0..scenes).map(|seed| {
+        let scene = outdoors(&mut Dice(seed));
         let strategy = [Strategy::Mis, Strategy::Light][seed as usize % 2];
         let mut with = settings(means::SIDE, 64, strategy);
         with.integrator.max_depth = Some(5);
         let without = Settings { without: Without { environment_cosine: true, ..with.without }, ..with.clone() };
-        let what = format!("seed {seed}, {strategy:?}, {:?}", &any.bsdfs[1..]);
-        let ways = [(&with, false), (&without, false)];
-        let squares = means::difference(&what, &Arc::new(World::compile(&any)), ways);
-        assert!(squares < 5.0, "{what}: z of {}", squares.sqrt());
-        sum += squares;
-    }
-    let mean = sum / scenes as f64;
-    assert!(mean < 1.35, "z² of {mean} on the average");
+        let what = format!("seed {seed}, {strategy:?}, {:?}", &scene.bsdfs[1..]);
+        means::Case { what, scene, ways: [(with, false), (without, false)] }
+    }));
 }

@@ -7,6 +7,7 @@
 
 use super::tables::{Division, SECTORS};
 use glam::Vec3;
+use rayon::prelude::*;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 /// Groups of normals along each side of the unfolded octahedron.
@@ -32,11 +33,6 @@ pub struct Facing(u16);
 impl Facing {
     /// Light matters wherever it comes from.
     pub const ANY: Facing = Facing((SIDE * SIDE) as u16);
-
-    /// Every one, by [`Facing::index`].
-    pub(super) fn all() -> Vec<Facing> {
-        (0..=Self::ANY.0).map(Facing).collect()
-    }
 
     /// The group of a unit normal in the image's space.
     #[inline(always)]
@@ -72,16 +68,22 @@ fn folded(x: f32, y: f32) -> (f32, f32) {
     ((1.0 - y.abs()).copysign(x), (1.0 - x.abs()).copysign(y))
 }
 
-/// Blocks of an image: their middles, and how far they reach around those.
+/// Blocks of an image, as surfaces see them.
 pub(super) struct Blocks {
-    middles: Vec<Vec3>,
-    /// Sines of the angles between a block's middle and the farthest normals for which something of it is in front, a group's spread
-    /// included; 1 where that is any.
-    sines: Vec<f32>,
+    /// The cosine that counts at each block, row by row, for each [`Facing`].
+    pub cosines: Vec<Vec<f32>>,
+}
+
+/// A block of an image.
+struct Block {
+    middle: Vec3,
+    /// The sine of the angle from the middle to the farthest normals, behind it, for which something of the block is in front, a group's
+    /// spread included; 1 where that is any.
+    reach: f32,
 }
 
 impl Blocks {
-    /// Those of an image with so many cells across and down.
+    /// Those of an image with so many cells across and down. On the current rayon pool.
     pub fn new(across: usize, down: usize) -> Self {
         let (columns, rows) = (Division::new(across, BLOCKS), Division::new(down, BLOCKS));
         let at = |column: f32, row: f32| {
@@ -89,36 +91,40 @@ impl Blocks {
             let (sin, cos) = (libm::sinf(turn), libm::cosf(turn));
             Vec3::new(libm::sinf(angle) * sin, libm::cosf(angle), -libm::sinf(angle) * cos)
         };
-        let (mut middles, mut sines) = (Vec::new(), Vec::new());
-        for row in 0..BLOCKS {
+        let block = |i: usize| {
+            let (row, column) = (i / BLOCKS, i % BLOCKS);
             let (top, bottom) = (rows.first(row) as f32, rows.first(row + 1) as f32);
-            for column in 0..BLOCKS {
-                let (left, right) = (columns.first(column) as f32, columns.first(column + 1) as f32);
-                let middle = at(0.5 * (left + right), 0.5 * (top + bottom));
-                let corners = [at(left, top), at(right, top), at(left, bottom), at(right, bottom)];
-                let farthest = corners.map(|corner| middle.angle_between(corner)).into_iter().fold(0.0, f32::max);
-                // Corners are farthest in blocks of up to a half turn.
-                let is_wide = (right - left) / across as f32 > 0.5;
-                let angle = if is_wide { FRAC_PI_2 } else { (farthest + SPREAD).min(FRAC_PI_2) };
-                middles.push(middle);
-                sines.push(libm::sinf(angle));
+            let (left, right) = (columns.first(column) as f32, columns.first(column + 1) as f32);
+            let middle = at(0.5 * (left + right), 0.5 * (top + bottom));
+            let corners = [at(left, top), at(right, top), at(left, bottom), at(right, bottom)];
+            let farthest = corners.map(|corner| middle.angle_between(corner)).into_iter().fold(0.0, f32::max);
+            // Corners are farthest in blocks of up to a half turn.
+            let is_wide = (right - left) / across as f32 > 0.5;
+            let angle = if is_wide { FRAC_PI_2 } else { (farthest + SPREAD).min(FRAC_PI_2) };
+            Block { middle, reach: libm::sinf(angle) }
+        };
+        let blocks: Vec<Block> = (0..BLOCKS * BLOCKS).map(block).collect();
+        let cosines = |facing: u16| match Facing(facing) {
+            Facing::ANY => vec![1.0; blocks.len()],
+            group => {
+                let normals = group.normals();
+                blocks.iter().map(|block| block.cosine(&normals)).collect()
             }
-        }
-        Self { middles, sines }
+        };
+        Self { cosines: (0..=Facing::ANY.0).into_par_iter().map(cosines).collect() }
     }
+}
 
-    /// The cosine that counts at each block for a group of normals.
-    pub fn cosines(&self, facing: Facing) -> impl Iterator<Item = f32> {
-        let normals = facing.normals();
-        self.middles.iter().zip(&self.sines).map(move |(middle, sine)| {
-            let (mut most, mut sum) = (-1.0_f32, 0.0);
-            for normal in &normals {
-                let cosine = normal.dot(*middle);
-                most = most.max(cosine);
-                sum += cosine.max(0.0);
-            }
-            if most > -sine { (sum / normals.len() as f32).max(COSINE_MIN) } else { 0.0 }
-        })
+impl Block {
+    /// The cosine that counts for a group of normals.
+    fn cosine(&self, normals: &[Vec3]) -> f32 {
+        let (mut most, mut sum) = (-1.0_f32, 0.0);
+        for normal in normals {
+            let cosine = normal.dot(self.middle);
+            most = most.max(cosine);
+            sum += cosine.max(0.0);
+        }
+        if most > -self.reach { (sum / normals.len() as f32).max(COSINE_MIN) } else { 0.0 }
     }
 }
 

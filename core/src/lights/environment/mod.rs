@@ -250,7 +250,7 @@ impl Globe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sampler::{fraction, unit};
+    use crate::sampler::{fraction, units};
     use crate::scene::{Scene, Texels};
     use crate::warp::uniform_sphere;
     use glam::Quat;
@@ -342,7 +342,7 @@ mod tests {
     fn what_is_in_front_is_found() {
         for (width, height) in [(2, 3), (5, 4), (64, 32), (200, 111)] {
             let (map, textures) = environment(width, height, |_, _| 1.0);
-            let mut directions = random().map(|[x, y]| uniform_sphere(Vec2::new(unit(x), unit(y))));
+            let mut directions = random().map(|numbers| uniform_sphere(units(numbers)));
             for _ in 0..100_000 {
                 let (n, wi) = (directions.next().unwrap(), directions.next().unwrap());
                 let wi = if n.dot(wi) < 0.0 { -wi } else { wi };

@@ -7,7 +7,6 @@
 
 use super::facing::{BLOCKS, Blocks, Facing};
 use crate::bvh::simd::prefetch_line;
-use rayon::prelude::*;
 
 /// Sectors across, and down.
 pub(super) const SECTORS: usize = 16;
@@ -50,26 +49,18 @@ impl Division {
 pub(super) struct Tables {
     /// What is taken from the luminance of every texel.
     pub floor: f32,
-    /// Cells across, and down, in sectors.
-    across: Division,
-    down: Division,
     /// For each [`Facing`].
     sectors: Vec<Sectors>,
-    /// Cumulative probabilities of the rows of each sector, one sector of a strip behind the other, each beginning with 0.
-    rows: Vec<u32>,
-    /// Where to look among them.
-    row_guides: Vec<u16>,
-    /// Those of the columns of each strip, in one row of cells behind the other, each beginning with 0.
-    columns: Vec<u32>,
-    /// Where to look among them.
-    column_guides: Vec<u16>,
+    /// The rows of cells, of each strip a line whose parts are sectors.
+    rows: Lines,
+    /// The columns of cells, of each row a line whose parts are strips.
+    columns: Lines,
 }
 
-/// Cumulative probabilities of strips, and of the sectors of each strip, in steps; without the first, which is 0.
-#[derive(Clone)]
+/// Probabilities of strips, and of the sectors of each strip.
 struct Sectors {
-    strips: [u16; SECTORS],
-    of_strips: [[u16; SECTORS]; SECTORS],
+    strips: Ends,
+    of_strips: [Ends; SECTORS],
 }
 
 /// What was chosen of a cell: its row, and what chooses its column.
@@ -98,9 +89,7 @@ impl Tables {
     /// Probabilities for texels of these luminances less `floor`, in rows at these 1 − cos θ, and the mean over all directions of that.
     pub fn new(texels: &[f32], heights: &[f32], floor: f32, blocks: &Blocks) -> (Self, f32) {
         let (width, cells_down) = (texels.len() / heights.len(), heights.len() - 1);
-        let (across, down) = (Division::new(width, SECTORS), Division::new(cells_down, SECTORS));
-        let mut columns = Vec::with_capacity(cells_down * (width + SECTORS));
-        let mut column_guides = Vec::with_capacity(cells_down * SECTORS * GUIDE);
+        let mut columns = Lines::new(cells_down, Division::new(width, SECTORS));
         let mut weights =
             Weights { rows: Vec::with_capacity(cells_down), blocks: vec![0.0; BLOCKS * BLOCKS], total: 0.0 };
         let mut of_row = vec![0.0; width];
@@ -111,80 +100,49 @@ impl Tables {
                 *sum = 0.25 * (at(x, 0) + at(x + 1, 0) + at(x, 1) + at(x + 1, 1)) * share;
             }
             weights.add(row, cells_down, &of_row);
-            for strip in 0..SECTORS {
-                let cumulative = cumulate(&of_row[across.first(strip)..across.first(strip + 1)], CELL_STEPS);
-                column_guides.extend(guide(&cumulative));
-                columns.extend(cumulative);
-            }
+            columns.add(&of_row);
         }
-        let mut rows = Vec::with_capacity(SECTORS * (cells_down + SECTORS));
-        let mut row_guides = Vec::with_capacity(SECTORS * SECTORS * GUIDE);
+        let mut rows = Lines::new(SECTORS, Division::new(cells_down, SECTORS));
         for strip in 0..SECTORS {
-            let of_strip: Vec<f64> = weights.rows.iter().map(|row| row[strip]).collect();
-            for sector in 0..SECTORS {
-                let cumulative = cumulate(&of_strip[down.first(sector)..down.first(sector + 1)], CELL_STEPS);
-                row_guides.extend(guide(&cumulative));
-                rows.extend(cumulative);
-            }
+            rows.add(&weights.rows.iter().map(|row| row[strip]).collect::<Vec<_>>());
         }
-        let sectors = Facing::all().into_par_iter().map(|facing| weights.sectors(facing, blocks)).collect();
-        let mean = weights.total as f32;
-        (Self { floor, across, down, sectors, rows, row_guides, columns, column_guides }, mean)
+        let sectors = blocks.cosines.iter().map(|cosines| weights.sectors(cosines)).collect();
+        (Self { floor, sectors, rows, columns }, weights.total as f32)
     }
 
-    /// The row of cells that numbers choose; none where nothing shines that matters. Asks for what [`Tables::choose_column`] will read, ahead of time.
+    /// The row of cells that numbers choose; none where nothing shines that matters. Asks for what [`Tables::choose_column`] will
+    /// read, ahead of time.
     #[inline(always)]
     pub fn choose_row(&self, facing: Facing, [x, y]: [u32; 2]) -> Option<Row> {
         let sectors = &self.sectors[facing.index()];
-        let (strip, step) = choose_sector(&sectors.strips, x)?;
-        let (sector, down) = choose_sector(&sectors.of_strips[strip], y)?;
-        let begin = strip * (self.down.items + SECTORS) + self.down.first(sector) + sector;
-        let end = strip * (self.down.items + SECTORS) + self.down.first(sector + 1) + sector;
-        let guide = &self.row_guides[(strip * SECTORS + sector) * GUIDE..][..GUIDE];
-        let (row, at) = choose(&self.rows[begin..=end], guide, down);
-        let row = self.down.first(sector) + row;
-        prefetch_line(&self.column_guides[(row * SECTORS + strip) * GUIDE]);
+        let (strip, step) = sectors.strips.choose(x)?;
+        let (sector, down) = sectors.of_strips[strip].choose(y)?;
+        let (row, at) = self.rows.choose(strip, sector, down);
+        prefetch_line(&self.columns.guide(row, strip)[0]);
         Some(Row { row: row as i32, at, strip: strip as u32, step })
     }
 
     /// The column, and where in it, from 0 to 1.
     #[inline(always)]
     pub fn choose_column(&self, Row { row, strip, step, .. }: Row) -> (i32, f32) {
-        let (row, strip) = (row as usize, strip as usize);
-        let begin = row * (self.across.items + SECTORS) + self.across.first(strip) + strip;
-        let end = row * (self.across.items + SECTORS) + self.across.first(strip + 1) + strip;
-        let guide = &self.column_guides[(row * SECTORS + strip) * GUIDE..][..GUIDE];
-        let (column, at) = choose(&self.columns[begin..=end], guide, step);
-        ((self.across.first(strip) + column) as i32, at)
+        let (column, at) = self.columns.choose(row as usize, strip as usize, step);
+        (column as i32, at)
     }
 
     /// Asks for what [`Tables::probability`] will read, ahead of time.
     #[inline(always)]
     pub fn prefetch(&self, column: usize, row: usize) {
-        prefetch_line(&self.columns[self.column(self.across.part(column), column, row)]);
+        self.columns.prefetch(row, column);
     }
 
     /// The probability of a cell.
     #[inline(always)]
     pub fn probability(&self, facing: Facing, column: usize, row: usize) -> f32 {
-        let (strip, sector) = (self.across.part(column), self.down.part(row));
+        let (strip, sector) = (self.columns.parts.part(column), self.rows.parts.part(row));
         let sectors = &self.sectors[facing.index()];
-        let of = |cumulative: &[u16; SECTORS], i: usize| cumulative[i] - if i > 0 { cumulative[i - 1] } else { 0 };
-        let (of_strip, of_sector) = (of(&sectors.strips, strip), of(&sectors.of_strips[strip], sector));
-        let at = strip * (self.down.items + SECTORS) + row + sector;
-        let of_row = self.rows[at + 1] - self.rows[at];
-        let at = self.column(strip, column, row);
-        let of_column = self.columns[at + 1] - self.columns[at];
-        let share = |steps: u32, of: u32| steps as f32 * (1.0 / of as f32);
-        share(of_strip.into(), SECTOR_STEPS)
-            * share(of_sector.into(), SECTOR_STEPS)
-            * (share(of_row, CELL_STEPS) * share(of_column, CELL_STEPS))
-    }
-
-    /// Where the tables have the cumulative probability before a column.
-    #[inline(always)]
-    fn column(&self, strip: usize, column: usize, row: usize) -> usize {
-        row * (self.across.items + SECTORS) + column + strip
+        sectors.strips.probability(strip)
+            * sectors.of_strips[strip].probability(sector)
+            * (self.rows.probability(strip, sector, row) * self.columns.probability(row, strip, column))
     }
 }
 
@@ -202,25 +160,121 @@ impl Weights {
         self.rows.push(strips);
     }
 
-    /// Probabilities of sectors for surfaces that look this way.
-    fn sectors(&self, facing: Facing, blocks: &Blocks) -> Sectors {
+    /// Probabilities of sectors where blocks are seen under these cosines.
+    fn sectors(&self, cosines: &[f32]) -> Sectors {
         let mut sums = [[0.0; SECTORS]; SECTORS];
-        let mut add = |(block, weight): (usize, f64)| {
+        for (block, (weight, &cosine)) in self.blocks.iter().zip(cosines).enumerate() {
             let (row, column) = (block / BLOCKS, block % BLOCKS);
-            sums[column / (BLOCKS / SECTORS)][row / (BLOCKS / SECTORS)] += weight;
-        };
-        if facing == Facing::ANY {
-            self.blocks.iter().copied().enumerate().for_each(&mut add);
-        } else {
-            let cosines = blocks.cosines(facing).map(f64::from);
-            self.blocks.iter().zip(cosines).map(|(weight, cosine)| weight * cosine).enumerate().for_each(&mut add);
+            sums[column / (BLOCKS / SECTORS)][row / (BLOCKS / SECTORS)] += weight * f64::from(cosine);
         }
-        let ends = |weights: &[f64; SECTORS]| {
-            let cumulative = cumulate(weights, SECTOR_STEPS);
-            std::array::from_fn(|i| cumulative[i + 1] as u16)
-        };
-        Sectors { strips: ends(&sums.map(|strip| strip.iter().sum())), of_strips: sums.map(|strip| ends(&strip)) }
+        Sectors {
+            strips: Ends::new(&sums.map(|strip| strip.iter().sum())),
+            of_strips: sums.map(|strip| Ends::new(&strip)),
+        }
     }
+}
+
+/// Cumulative probabilities of sixteen items in [`SECTOR_STEPS`], without the first, which is 0.
+struct Ends([u16; SECTORS]);
+
+impl Ends {
+    fn new(weights: &[f64; SECTORS]) -> Self {
+        let cumulative = cumulate(weights, SECTOR_STEPS);
+        Self(std::array::from_fn(|i| cumulative[i + 1] as u16))
+    }
+
+    /// The steps of an item, from the first to before the second; none behind the last item.
+    #[inline(always)]
+    fn span(&self, item: usize) -> Option<(u32, u32)> {
+        let end = *self.0.get(item)?;
+        Some((if item > 0 { self.0[item - 1].into() } else { 0 }, end.into()))
+    }
+
+    /// The item that a number falls on, and which of [`CELL_STEPS`] steps in it; none where none has a probability.
+    #[inline(always)]
+    fn choose(&self, number: u32) -> Option<(usize, u32)> {
+        let step = (number / CELL_STEPS) as u16;
+        let mut item = 0;
+        for &end in &self.0 {
+            item += usize::from(end <= step);
+        }
+        let (begin, end) = self.span(item)?;
+        Some((item, (number - begin * CELL_STEPS) / (end - begin)))
+    }
+
+    #[inline(always)]
+    fn probability(&self, item: usize) -> f32 {
+        let (begin, end) = self.span(item).unwrap_or_default();
+        share(end - begin, SECTOR_STEPS)
+    }
+}
+
+/// Probabilities of the items of some lines, all divided alike; those of a part add up to one.
+struct Lines {
+    parts: Division,
+    /// Cumulative, in [`CELL_STEPS`], one part of a line behind the other, each beginning with 0.
+    cumulative: Vec<u32>,
+    /// Where to look among them, [`GUIDE`] a part.
+    guides: Vec<u16>,
+}
+
+impl Lines {
+    /// No line yet, and room for so many.
+    fn new(lines: usize, parts: Division) -> Self {
+        Self {
+            parts,
+            cumulative: Vec::with_capacity(lines * (parts.items + SECTORS)),
+            guides: Vec::with_capacity(lines * SECTORS * GUIDE),
+        }
+    }
+
+    /// Adds a line of items with these weights.
+    fn add(&mut self, weights: &[f64]) {
+        for part in 0..SECTORS {
+            let cumulative = cumulate(&weights[self.parts.first(part)..self.parts.first(part + 1)], CELL_STEPS);
+            self.guides.extend(guide(&cumulative));
+            self.cumulative.extend(cumulative);
+        }
+    }
+
+    /// Where the cumulative probability before an item is, or behind the last one of its part.
+    #[inline(always)]
+    fn at(&self, line: usize, part: usize, item: usize) -> usize {
+        line * (self.parts.items + SECTORS) + item + part
+    }
+
+    #[inline(always)]
+    fn guide(&self, line: usize, part: usize) -> &[u16] {
+        &self.guides[(line * SECTORS + part) * GUIDE..][..GUIDE]
+    }
+
+    /// The item of a part of a line that a step falls on, and where on it, in (0, 1).
+    #[inline(always)]
+    fn choose(&self, line: usize, part: usize, step: u32) -> (usize, f32) {
+        let (first, end) = (self.parts.first(part), self.parts.first(part + 1));
+        let cumulative = &self.cumulative[self.at(line, part, first)..=self.at(line, part, end)];
+        let (item, at) = choose(cumulative, self.guide(line, part), step);
+        (first + item, at)
+    }
+
+    /// Asks for what [`Lines::probability`] will read, ahead of time.
+    #[inline(always)]
+    fn prefetch(&self, line: usize, item: usize) {
+        prefetch_line(&self.cumulative[self.at(line, self.parts.part(item), item)]);
+    }
+
+    /// The probability of an item in its part.
+    #[inline(always)]
+    fn probability(&self, line: usize, part: usize, item: usize) -> f32 {
+        let at = self.at(line, part, item);
+        share(self.cumulative[at + 1] - self.cumulative[at], CELL_STEPS)
+    }
+}
+
+/// So many steps of so many, a power of two.
+#[inline(always)]
+fn share(steps: u32, of: u32) -> f32 {
+    steps as f32 * (1.0 / of as f32)
 }
 
 /// What of a luminance counts above a floor.
@@ -253,19 +307,6 @@ fn guide(cumulative: &[u32]) -> impl Iterator<Item = u16> {
         let step = (part * (CELL_STEPS as usize / GUIDE)) as u32;
         (cumulative.partition_point(|&c| c <= step).max(1) - 1).min(last) as u16
     })
-}
-
-/// The strip or sector that a number falls on, and which of [`CELL_STEPS`] steps in it; none where none has a probability.
-#[inline(always)]
-fn choose_sector(ends: &[u16; SECTORS], number: u32) -> Option<(usize, u32)> {
-    let step = (number / CELL_STEPS) as u16;
-    let mut chosen = 0;
-    for &end in ends {
-        chosen += usize::from(end <= step);
-    }
-    let end = *ends.get(chosen)?;
-    let begin = if chosen > 0 { ends[chosen - 1] } else { 0 };
-    Some((chosen, (number - u32::from(begin) * CELL_STEPS) / u32::from(end - begin)))
 }
 
 /// The item that a step falls on, and where on it, in (0, 1).
@@ -309,17 +350,17 @@ mod tests {
     fn sectors_use_numbers_up() {
         let weights: [f64; SECTORS] = std::array::from_fn(|i| [0.0, 1.0, 1e-9, 70.0][i % 4]);
         let cumulative = cumulate(&weights, SECTOR_STEPS);
-        let ends: [u16; SECTORS] = std::array::from_fn(|i| cumulative[i + 1] as u16);
+        let ends = Ends::new(&weights);
         for strip in 0..SECTORS {
             let (begin, end) = (u64::from(cumulative[strip]), u64::from(cumulative[strip + 1]));
             assert_eq!(begin < end, weights[strip] > 0.0);
             for step in [0, 1, 77_777, u64::from(CELL_STEPS) - 1] {
                 let first = begin * u64::from(CELL_STEPS) + step * (end - begin);
                 for number in first..first + (end - begin) {
-                    assert_eq!(choose_sector(&ends, number as u32), Some((strip, step as u32)));
+                    assert_eq!(ends.choose(number as u32), Some((strip, step as u32)));
                 }
             }
         }
-        assert_eq!(choose_sector(&[0; SECTORS], 5), None);
+        assert_eq!(Ends::new(&[0.0; SECTORS]).choose(5), None);
     }
 }
