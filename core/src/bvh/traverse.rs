@@ -47,10 +47,15 @@ impl Slabs {
     #[inline(always)]
     pub fn new(ray: &Ray) -> Self {
         let d = ray.direction.to_array();
-        let largest = d[0].abs().max(d[1].abs()).max(d[2].abs());
-        let least = (largest * LEAST_DIRECTION).max(f32::MIN_POSITIVE);
-        let reciprocal = |x: f32| 1.0 / if x.abs() < least { least.copysign(x) } else { x };
-        let entry = [reciprocal(d[0]), reciprocal(d[1]), reciprocal(d[2])];
+        let [x, y, z] = [d[0].abs(), d[1].abs(), d[2].abs()];
+        let larger = |a: f32, b: f32| if a > b { a } else { b };
+        let least = larger(larger(larger(x, y), z) * LEAST_DIRECTION, f32::MIN_POSITIVE);
+        // Reciprocals do not wait for what is hardly ever needed.
+        let entry = if x >= least && y >= least && z >= least {
+            [1.0 / d[0], 1.0 / d[1], 1.0 / d[2]]
+        } else {
+            bounded_reciprocals(d, least)
+        };
         Self {
             origin: ray.origin.to_array(),
             entry,
@@ -87,6 +92,13 @@ impl Slabs {
     pub(super) fn node<L: Lanes>(&self, lanes: L, node: &Node, t_max: f32) -> (L::X8, L::X8) {
         self.spans(lanes, |axis, side| L::X8::load(lanes, &node.bounds[axis][side]), t_max)
     }
+}
+
+/// Reciprocals where components below `least` count as that.
+#[cold]
+#[inline(never)]
+fn bounded_reciprocals(direction: [f32; 3], least: f32) -> [f32; 3] {
+    direction.map(|x| 1.0 / if x.abs() < least { least.copysign(x) } else { x })
 }
 
 /// What the leaves of a hierarchy hold, met by one ray.

@@ -154,23 +154,22 @@ struct Inside<V> {
     det: V,
 }
 
+/// The two axes after each, and it.
+const NEXT_AXES: [[usize; 3]; 3] = [[1, 2, 0], [2, 0, 1], [0, 1, 2]];
+
 impl<'a> Blocks<'a> {
     #[inline(always)]
     pub fn new(ray: &Ray, blocks: &'a [Block]) -> Self {
-        let d = ray.direction.to_array();
+        let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
         let [x, y, z] = [d[0].abs(), d[1].abs(), d[2].abs()];
-        let axes = if x > y && x > z {
-            [1, 2, 0]
-        } else if y > z {
-            [2, 0, 1]
-        } else {
-            [0, 1, 2]
-        };
+        // Without a branch: rays go anywhere.
+        let longest = if (x > y) & (x > z) { 0 } else { 1 + usize::from(y <= z) };
+        let axes = NEXT_AXES[longest];
         let [dx, dy, dz] = [d[axes[0]], d[axes[1]], d[axes[2]]];
         Self {
             blocks,
             axes,
-            origin: [ray.origin[axes[0]], ray.origin[axes[1]], ray.origin[axes[2]]],
+            origin: [o[axes[0]], o[axes[1]], o[axes[2]]],
             direction: ray.direction,
             start: ray.origin.abs().max_element() * START,
             shear: [dx / dz, dy / dz],
