@@ -1,8 +1,9 @@
 //! Ray against geometry: a hierarchy of boxes eight wide, and triangles in it.
 //!
 //! [`Bvh8`] is the hierarchy and its traversals, generic over what the leaves hold ([`Leaves`]); [`TriangleBvh`] puts triangles
-//! there. [`simd`] holds the vectors. All paths of [`simd::Isa`] give the same bits, and the hit that is found does not
-//! depend on the shape of the tree: the nearest, and of hits at the same `t` that of the smallest triangle number.
+//! there, large ones that lie across the axes in [`pieces`]. [`simd`] holds the vectors. All paths of [`simd::Isa`] give the same
+//! bits, and the hit that is found does not depend on the shape of the tree: the nearest, and of hits at the same `t` that of the
+//! smallest triangle number. Where triangles are in pieces, it is the nearest of all pieces.
 //!
 //! Nothing here knows of shapes, materials or meshes: triangles are numbers with three vertices.
 
@@ -10,6 +11,7 @@ mod aabb;
 mod boxes;
 mod build;
 mod node;
+mod pieces;
 pub mod simd;
 mod stream;
 #[cfg(test)]
@@ -25,6 +27,7 @@ pub use traverse::{Leaves, Ray, Slabs};
 pub use triangle::triangle_bounds;
 
 use glam::Vec3;
+use pieces::{Cut, Piece, References, cut};
 use rayon::prelude::*;
 use simd::{Kernel, Lanes, with_room};
 use triangle::{BLOCK, Block, Blocks};
@@ -47,43 +50,87 @@ pub struct TriangleHit {
 pub struct TriangleBvh {
     bvh: Bvh8,
     blocks: Vec<Block>,
+    triangles: u32,
+    /// Of triangles that are in pieces; none in most scenes.
+    pieces: Vec<Piece>,
 }
 
 /// What a visit of a block costs, in visits of a node; measured.
 const LEAF_COST: LeafCost = LeafCost { max_count: 2 * BLOCK as u32, block: BLOCK as u32, block_cost: 1.0 };
 
+/// A tree over pieces has to cost at most this part of that over whole triangles: at 0.96 it is no faster.
+const WORTH_CUTTING: f32 = 0.9;
+
 impl TriangleBvh {
     /// Builds the hierarchy over triangles 0 to `count - 1`, on the current rayon pool.
     ///
-    /// `vertices` gives the three vertices of a triangle, finite and not all on one line, and is asked twice for each.
-    /// The same triangles give the same tree on any number of threads. At most 2^28 triangles.
+    /// `vertices` gives the three vertices of a triangle, finite and not all on one line, and is asked a few times for each. Triangles
+    /// are cut into pieces where that makes a better tree ([`pieces`]). The same triangles give the same tree on any number of threads. At
+    /// most 2^28 triangles.
     pub fn build(count: u32, vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Self {
+        Self::build_with(count, &vertices, WORTH_CUTTING)
+    }
+
+    /// The same, with pieces where the tree then costs at most this part.
+    fn build_with(count: u32, vertices: &(impl Fn(u32) -> [Vec3; 3] + Sync), worth: f32) -> Self {
         let boxes: Vec<Aabb> = (0..count).into_par_iter().map(|i| triangle_bounds(vertices(i))).collect();
-        let Built { mut bvh, order } = Built::new(&boxes, LEAF_COST);
+        let whole = Built::new(&boxes, LEAF_COST);
+        let cut = cut(&boxes, vertices);
         drop(boxes);
-        // The triangles of each block, in the order of the nodes.
+        if let Some(Cut { boxes, references, pieces }) = cut {
+            let mut built = Built::new(&boxes, LEAF_COST);
+            if built.sah_cost(LEAF_COST) <= worth * whole.sah_cost(LEAF_COST) {
+                built.order.iter_mut().for_each(|i| *i = references[*i as usize]);
+                return Self::filled(built, count, pieces, vertices);
+            }
+        }
+        Self::filled(whole, count, Vec::new(), vertices)
+    }
+
+    /// Puts the triangles into blocks, in the order of the nodes.
+    fn filled(built: Built, triangles: u32, pieces: Vec<Piece>, vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Self {
+        let Built { mut bvh, order } = built;
         let mut runs: Vec<&[u32]> = Vec::with_capacity(order.len() / 2);
         bvh.map_leaves(|leaf| {
             let first = runs.len();
             runs.extend(order[leaf.first as usize..][..leaf.count as usize].chunks(BLOCK));
             Leaf { first: first as u32, count: (runs.len() - first) as u32 }
         });
+        let references = References { triangles, pieces: &pieces };
+        let block = |run: &&[u32]| Block::new(run.iter().map(|&i| (i, vertices(references.triangle(i)))));
         let mut blocks = with_room(runs.len());
-        let block = |run: &&[u32]| Block::new(run.iter().map(|&i| (i, vertices(i))));
         runs.par_iter().map(block).collect_into_vec(&mut blocks);
-        Self { bvh, blocks }
+        Self { bvh, blocks, triangles, pieces }
+    }
+
+    fn references(&self) -> References<'_> {
+        References { triangles: self.triangles, pieces: &self.pieces }
+    }
+
+    /// The ray against the triangles.
+    #[inline(always)]
+    fn against<const PIECES: bool>(&self, ray: &Ray) -> Blocks<'_, PIECES> {
+        Blocks::new(ray, &self.blocks, self.references())
     }
 
     /// The nearest hit with `0 < t <= ray.t_max`, on either side of a triangle.
     #[inline]
     pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<TriangleHit> {
-        lanes.run(Closest { mesh: self, ray })
+        if self.pieces.is_empty() {
+            lanes.run(Closest::<false> { mesh: self, ray })
+        } else {
+            lanes.run(Closest::<true> { mesh: self, ray })
+        }
     }
 
     /// Whether there is a hit with `0 < t <= ray.t_max`.
     #[inline]
     pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
-        lanes.run(Occluded { mesh: self, ray })
+        if self.pieces.is_empty() {
+            lanes.run(Occluded::<false> { mesh: self, ray })
+        } else {
+            lanes.run(Occluded::<true> { mesh: self, ray })
+        }
     }
 
     /// [`TriangleBvh::closest`] of many rays at once, the same hits to the bit: up to twice as fast for rays that go
@@ -91,13 +138,21 @@ impl TriangleBvh {
     /// hundred rays a call are enough.
     #[inline]
     pub fn closest_many<L: Lanes>(&self, lanes: L, rays: &[Ray], hits: &mut [Option<TriangleHit>]) {
-        lanes.run(ClosestMany { mesh: self, rays, hits });
+        if self.pieces.is_empty() {
+            lanes.run(ClosestMany::<false> { mesh: self, rays, hits });
+        } else {
+            lanes.run(ClosestMany::<true> { mesh: self, rays, hits });
+        }
     }
 
     /// [`TriangleBvh::occluded`] of many rays at once. `occluded` is as long as `rays`.
     #[inline]
     pub fn occluded_many<L: Lanes>(&self, lanes: L, rays: &[Ray], occluded: &mut [bool]) {
-        lanes.run(OccludedMany { mesh: self, rays, occluded });
+        if self.pieces.is_empty() {
+            lanes.run(OccludedMany::<false> { mesh: self, rays, occluded });
+        } else {
+            lanes.run(OccludedMany::<true> { mesh: self, rays, occluded });
+        }
     }
 
     /// Size and quality.
@@ -106,7 +161,7 @@ impl TriangleBvh {
         Stats {
             nodes,
             blocks: self.blocks.len(),
-            bytes: node_bytes + size_of_val(self.blocks.as_slice()),
+            bytes: node_bytes + size_of_val(self.blocks.as_slice()) + size_of_val(self.pieces.as_slice()),
             sah_cost: self.bvh.sah_cost(1.0, |leaf| leaf.count as f32 * LEAF_COST.block_cost),
         }
     }
@@ -125,70 +180,70 @@ pub struct Stats {
     pub sah_cost: f32,
 }
 
-/// [`TriangleBvh::closest`] as compiled for a path.
-struct Closest<'a> {
+/// [`TriangleBvh::closest`] as compiled for a path, with triangles in `PIECES` or without.
+struct Closest<'a, const PIECES: bool> {
     mesh: &'a TriangleBvh,
     ray: &'a Ray,
 }
 
-impl Kernel for Closest<'_> {
+impl<const PIECES: bool> Kernel for Closest<'_, PIECES> {
     type Output = Option<TriangleHit>;
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut blocks = Blocks::new(self.ray, &self.mesh.blocks);
+        let mut blocks = self.mesh.against::<PIECES>(self.ray);
         self.mesh.bvh.nearest(lanes, self.ray, &mut blocks);
         blocks.nearest.hit()
     }
 }
 
 /// [`TriangleBvh::occluded`] as compiled for a path.
-struct Occluded<'a> {
+struct Occluded<'a, const PIECES: bool> {
     mesh: &'a TriangleBvh,
     ray: &'a Ray,
 }
 
-impl Kernel for Occluded<'_> {
+impl<const PIECES: bool> Kernel for Occluded<'_, PIECES> {
     type Output = bool;
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut blocks = Blocks::new(self.ray, &self.mesh.blocks);
+        let mut blocks = self.mesh.against::<PIECES>(self.ray);
         self.mesh.bvh.any(lanes, self.ray, &mut blocks)
     }
 }
 
 /// [`TriangleBvh::closest_many`] as compiled for a path.
-struct ClosestMany<'a> {
+struct ClosestMany<'a, const PIECES: bool> {
     mesh: &'a TriangleBvh,
     rays: &'a [Ray],
     hits: &'a mut [Option<TriangleHit>],
 }
 
-impl Kernel for ClosestMany<'_> {
+impl<const PIECES: bool> Kernel for ClosestMany<'_, PIECES> {
     type Output = ();
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) {
-        let start = |ray: &Ray| Blocks::new(ray, &self.mesh.blocks);
-        let finish = |index: usize, blocks: &Blocks| self.hits[index] = blocks.nearest.hit();
+        let start = |ray: &Ray| self.mesh.against::<PIECES>(ray);
+        let finish = |index: usize, blocks: &Blocks<PIECES>| self.hits[index] = blocks.nearest.hit();
         self.mesh.bvh.nearest_many(lanes, self.rays, start, finish);
     }
 }
 
 /// [`TriangleBvh::occluded_many`] as compiled for a path.
-struct OccludedMany<'a> {
+struct OccludedMany<'a, const PIECES: bool> {
     mesh: &'a TriangleBvh,
     rays: &'a [Ray],
     occluded: &'a mut [bool],
 }
 
-impl Kernel for OccludedMany<'_> {
+impl<const PIECES: bool> Kernel for OccludedMany<'_, PIECES> {
     type Output = ();
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) {
-        let start = |ray: &Ray| Blocks::new(ray, &self.mesh.blocks);
+        let start = |ray: &Ray| self.mesh.against::<PIECES>(ray);
         let finish = |index: usize, any| self.occluded[index] = any;
         self.mesh.bvh.any_many(lanes, self.rays, start, finish);
     }

@@ -30,11 +30,32 @@ fn bvh(triangles: &[Triangle]) -> TriangleBvh {
     TriangleBvh::build(triangles.len() as u32, |i| triangles[i as usize])
 }
 
-/// What a ray meets: the nearest hit by the tree, whether the tree says there is any, and the nearest without a tree.
+fn bvh_of_whole(triangles: &[Triangle]) -> TriangleBvh {
+    TriangleBvh::build_with(triangles.len() as u32, &|i| triangles[i as usize], 0.0)
+}
+
+/// All that can be in pieces is.
+fn bvh_in_pieces(triangles: &[Triangle]) -> TriangleBvh {
+    TriangleBvh::build_with(triangles.len() as u32, &|i| triangles[i as usize], f32::INFINITY)
+}
+
+/// What a ray meets: the nearest hit by the tree, whether the tree says there is any, and the nearest of all blocks without a tree.
 struct Answers<'a> {
     bvh: &'a TriangleBvh,
     blocks: &'a [Block],
     ray: &'a Ray,
+}
+
+impl Answers<'_> {
+    #[inline(always)]
+    fn without_tree<L: Lanes, const PIECES: bool>(&self, lanes: L) -> Option<TriangleHit> {
+        let slabs = Slabs::new(self.ray);
+        let mut all = Blocks::<PIECES>::new(self.ray, self.blocks, self.bvh.references());
+        for first in 0..self.blocks.len() as u32 {
+            all.nearest(lanes, &slabs, Leaf { first, count: 1 }, f32::INFINITY);
+        }
+        all.nearest.hit()
+    }
 }
 
 impl Kernel for Answers<'_> {
@@ -42,12 +63,9 @@ impl Kernel for Answers<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let slabs = Slabs::new(self.ray);
-        let mut all = Blocks::new(self.ray, self.blocks);
-        for first in 0..self.blocks.len() as u32 {
-            all.nearest(lanes, &slabs, Leaf { first, count: 1 }, f32::INFINITY);
-        }
-        (self.bvh.closest(lanes, self.ray), self.bvh.occluded(lanes, self.ray), all.nearest.hit())
+        let is_whole = self.bvh.pieces.is_empty();
+        let all = if is_whole { self.without_tree::<L, false>(lanes) } else { self.without_tree::<L, true>(lanes) };
+        (self.bvh.closest(lanes, self.ray), self.bvh.occluded(lanes, self.ray), all)
     }
 }
 
@@ -70,18 +88,22 @@ fn bits(hit: Option<TriangleHit>) -> Option<[u32; 4]> {
     hit.map(|h| [h.t.to_bits(), h.u.to_bits(), h.v.to_bits(), h.triangle])
 }
 
-/// Every path gives the brute-force hit to the bit; returns how many rays hit.
+/// Every path gives the brute-force hit to the bit, with triangles whole and in pieces; returns how many rays hit.
 fn agree(triangles: &[Triangle], rays: &[Ray]) -> usize {
-    let bvh = bvh(triangles);
     let blocks: Vec<Block> = (0..triangles.len())
         .step_by(BLOCK)
         .map(|at| Block::new((at..triangles.len()).map(|i| (i as u32, triangles[i]))))
         .collect();
-    let answers = |isa: Isa, ray| {
-        let blocks = &blocks;
-        isa.dispatch(Answers { bvh: &bvh, blocks, ray })
-    };
-    let many: Vec<_> = Isa::available().into_iter().map(|isa| isa.dispatch(Many(&bvh, rays))).collect();
+    let in_pieces = bvh_in_pieces(triangles);
+    let found = agree_without_tree(&bvh_of_whole(triangles), &blocks, rays);
+    assert_eq!(agree_without_tree(&in_pieces, &in_pieces.blocks, rays), found, "pieces are missed");
+    found
+}
+
+/// Every path finds in the tree what it finds in these blocks, to the bit; returns how many rays hit.
+fn agree_without_tree(bvh: &TriangleBvh, blocks: &[Block], rays: &[Ray]) -> usize {
+    let answers = |isa: Isa, ray| isa.dispatch(Answers { bvh, blocks, ray });
+    let many: Vec<_> = Isa::available().into_iter().map(|isa| isa.dispatch(Many(bvh, rays))).collect();
     let mut found = 0;
     for (index, ray) in rays.iter().enumerate() {
         let (closest, any, brute) = answers(Isa::Portable, ray);
@@ -156,6 +178,7 @@ fn map(triangles: &[Triangle], rays: &[Ray], scale: f32, offset: Vec3) -> (Vec<T
 fn every_path_agrees_with_no_tree_at_all() {
     let triangles = soup(600);
     let rays = nasty_rays(&triangles, 400);
+    assert!(bvh_in_pieces(&triangles).pieces.len() > 50, "that many pieces are tried below");
     for (scale, offset) in [
         (1.0, Vec3::ZERO),
         (1e6, Vec3::ZERO),
@@ -260,12 +283,22 @@ impl Kernel for Leaks<'_> {
 
 #[test]
 fn closed_surfaces_never_leak() {
-    // A million rays from inside at vertices and edges, in three placements; long triangles in the thin ones.
+    // A million rays from inside at vertices and edges, in three placements; the thin ones have long triangles, which are cut.
     let turn = Mat3::from_axis_angle(Vec3::new(0.48, 0.6, 0.64), 1.0);
-    for (surface, core) in [(sphere(64, 40), 0.0), (sphere(400, 3), 0.0), (torus(50, 30), 1.0), (torus(7, 300), 1.0)] {
+    let surfaces = [
+        (sphere(64, 40), 0.0, false),
+        (sphere(400, 3), 0.0, true),
+        (torus(50, 30), 1.0, false),
+        (torus(7, 300), 1.0, true),
+    ];
+    for (surface, core, is_thin) in surfaces {
         for (scale, offset) in [(1.0, Vec3::ZERO), (1e4, Vec3::splat(-3e3)), (1e-3, Vec3::new(10.0, 0.0, 2.0))] {
             let triangles: Vec<Triangle> = surface.iter().map(|t| t.map(|p| turn * p * scale + offset)).collect();
-            let bvh = bvh(&triangles);
+            let trees = [bvh_of_whole(&triangles), bvh_in_pieces(&triangles)];
+            assert_eq!(trees[1].pieces.len() > triangles.len(), is_thin, "{} pieces", trees[1].pieces.len());
+            // Pieces are used where they are worth it.
+            let [better, worse] = [bvh(&triangles), bvh_of_whole(&triangles)].map(|bvh| bvh.stats().sah_cost);
+            assert_eq!(better < 0.9 * worse, is_thin, "{better} and {worse}");
             let rays: Vec<Ray> = (0..84_000)
                 .map(|i| {
                     let [a, b, _] = triangles[i % triangles.len()];
@@ -277,7 +310,10 @@ fn closed_surfaces_never_leak() {
                     ray(origin, a + (b - a) * s - origin)
                 })
                 .collect();
-            assert_eq!(Isa::detect().dispatch(Leaks(&bvh, &rays)), 0, "scale {scale}");
+            for bvh in trees {
+                let leaks = Isa::detect().dispatch(Leaks(&bvh, &rays));
+                assert_eq!(leaks, 0, "scale {scale}, {} pieces of {} triangles", bvh.pieces.len(), triangles.len());
+            }
         }
     }
 }

@@ -3,12 +3,13 @@
 //! The ray is sheared onto the axis where it is longest. The sign of an edge function `a*b - c*d` of two rounded
 //! products is never wrong, only possibly zero, and zero counts as inside, so no ray passes between triangles that share
 //! an edge. A hit counts only where the ray passes the triangle's own box ([`triangle_bounds`]), and is no nearer than the entry
-//! into it; both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
+//! into it (of what is cut into pieces, into the piece's); both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
 //!
 //! Whether a triangle lies ahead of the ray's origin is decided in f64 where f32 may be wrong: a ray that leaves a thin triangle, or starts
 //! just before one, starts nearer to its plane than t is known.
 
 use super::node::Leaf;
+use super::pieces::References;
 use super::simd::{Floats, Lanes};
 use super::traverse::{Leaves, Ray, Slabs};
 use super::{Aabb, TriangleHit};
@@ -23,7 +24,7 @@ pub const BLOCK: usize = 4;
 pub struct Block {
     /// `rows[axis][vertex][lane]`: the ray's choice of axes is a choice of rows.
     rows: [[[f32; BLOCK]; 3]; 3],
-    /// The triangles' own numbers, with [`SLIVER`] set in those of slivers.
+    /// What the lanes are of ([`References`]), with [`SLIVER`] set where it is a sliver.
     ids: [u32; BLOCK],
 }
 
@@ -31,7 +32,7 @@ pub struct Block {
 const SLIVER: u32 = 0b11 << 30;
 
 impl Block {
-    /// Of at most four triangles, each its number and vertices.
+    /// Of at most four triangles or pieces, each its number and the triangle's vertices.
     pub fn new(triangles: impl Iterator<Item = (u32, [Vec3; 3])>) -> Self {
         let mut block = Block { rows: [[[f32::NAN; BLOCK]; 3]; 3], ids: [u32::MAX; BLOCK] };
         for (lane, (id, vertices)) in triangles.take(BLOCK).enumerate() {
@@ -50,7 +51,7 @@ impl Block {
         [0, 1, 2].map(|vertex| Vec3::from_array([0, 1, 2].map(|axis| self.rows[axis][vertex][lane])))
     }
 
-    /// The number of a lane's triangle.
+    /// The number of a lane's triangle or piece.
     #[inline(always)]
     fn id(&self, lane: usize) -> u32 {
         self.ids[lane] & !SLIVER
@@ -93,9 +94,12 @@ fn is_sliver([a, b, c]: [Vec3; 3]) -> bool {
 pub fn triangle_bounds(vertices: [Vec3; 3]) -> Aabb {
     let [a, b, c] = vertices;
     let tight = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
-    let size = tight.max - tight.min;
-    let extent = size.x.max(size.y).max(size.z) * EXTENT_PAD;
-    let pad = |side: f32| extent + side.abs() * VERTEX_PAD;
+    padded(tight, (tight.max - tight.min).max_element())
+}
+
+/// A box of something of this extent that the test of triangles moves by rounding.
+pub(super) fn padded(tight: Aabb, extent: f32) -> Aabb {
+    let pad = |side: f32| extent * EXTENT_PAD + side.abs() * VERTEX_PAD;
     Aabb {
         min: Vec3::from_array(tight.min.to_array().map(|side| side - pad(side))),
         max: Vec3::from_array(tight.max.to_array().map(|side| side + pad(side))),
@@ -125,10 +129,11 @@ impl Nearest {
     }
 }
 
-/// A ray against the blocks of a mesh.
+/// A ray against the blocks of a mesh, of whose triangles some are in `PIECES` or none.
 #[derive(Clone, Copy)]
-pub struct Blocks<'a> {
+pub struct Blocks<'a, const PIECES: bool> {
     blocks: &'a [Block],
+    references: References<'a>,
     /// The axes, the one where the ray is longest last.
     axes: [usize; 3],
     /// The ray's origin along them.
@@ -157,9 +162,9 @@ struct Inside<V> {
 /// The two axes after each, and it.
 const NEXT_AXES: [[usize; 3]; 3] = [[1, 2, 0], [2, 0, 1], [0, 1, 2]];
 
-impl<'a> Blocks<'a> {
+impl<'a, const PIECES: bool> Blocks<'a, PIECES> {
     #[inline(always)]
-    pub fn new(ray: &Ray, blocks: &'a [Block]) -> Self {
+    pub fn new(ray: &Ray, blocks: &'a [Block], references: References<'a>) -> Self {
         let (d, o) = (ray.direction.to_array(), ray.origin.to_array());
         let [x, y, z] = [d[0].abs(), d[1].abs(), d[2].abs()];
         // Without a branch: rays go anywhere.
@@ -168,6 +173,7 @@ impl<'a> Blocks<'a> {
         let [dx, dy, dz] = [d[axes[0]], d[axes[1]], d[axes[2]]];
         Self {
             blocks,
+            references,
             axes,
             origin: [o[axes[0]], o[axes[1]], o[axes[2]]],
             direction: ray.direction,
@@ -233,8 +239,37 @@ impl<'a> Blocks<'a> {
                 mask &= !(1 << lane);
             }
         }
+        let t = if PIECES && mask != 0 {
+            let entered = in_own_pieces(*slabs, self.references, block, mask, t.store());
+            let t = L::X4::load(lanes, &entered);
+            // What misses its piece is NaN now.
+            mask &= t.le(L::X4::splat(lanes, t_max));
+            t
+        } else {
+            t
+        };
         (mask != 0).then_some(Inside { mask, t, v, w, det })
     }
+}
+
+/// The t of these lanes, where one is a piece not before the entry into its box; NaN where that is missed. It takes the ray by value, like
+/// [`reconsidered`].
+#[inline(never)]
+fn in_own_pieces(
+    slabs: Slabs,
+    references: References,
+    block: &Block,
+    mut lanes: u32,
+    mut t: [f32; BLOCK],
+) -> [f32; BLOCK] {
+    while lanes != 0 {
+        let lane = lanes.trailing_zeros() as usize & (BLOCK - 1);
+        lanes &= lanes - 1;
+        if let Some(piece) = references.piece(block.id(lane)) {
+            t[lane] = piece.entry(&slabs).map_or(f32::NAN, |entry| t[lane].max(entry));
+        }
+    }
+    t
 }
 
 /// The t of these lanes, which f32 has at or behind the origin, as f64 has it where that is ahead, and no farther than the triangle. It takes
@@ -301,7 +336,7 @@ fn in_own_box<L: Lanes>(lanes: L, slabs: &Slabs, block: &Block, mask: u32, t: L:
     InOwnBox { mask: mask & near.le(far) & t.le(splat(t_max)), t, near, size: longest }
 }
 
-impl<L: Lanes> Leaves<L> for Blocks<'_> {
+impl<L: Lanes, const PIECES: bool> Leaves<L> for Blocks<'_, PIECES> {
     #[inline(always)]
     fn address(&self, leaf: Leaf) -> *const u8 {
         self.blocks.as_ptr().wrapping_add(leaf.first as usize).cast()
@@ -319,7 +354,8 @@ impl<L: Lanes> Leaves<L> for Blocks<'_> {
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize & (BLOCK - 1);
                 mask &= mask - 1;
-                let triangle = block.id(lane);
+                let id = block.id(lane);
+                let triangle = if PIECES { self.references.triangle(id) } else { id };
                 let best = &mut self.nearest;
                 if t[lane] < best.t || (t[lane] == best.t && triangle < best.triangle) {
                     *best = Nearest { t: t[lane], v: v[lane], w: w[lane], det: det[lane], triangle };

@@ -36,6 +36,11 @@ pub struct Built {
 }
 
 impl Built {
+    /// [`Bvh8::sah_cost`] where leaves cost this.
+    pub fn sah_cost(&self, leaf: LeafCost) -> f32 {
+        self.bvh.sah_cost(1.0, |run| run.count.div_ceil(leaf.block) as f32 * leaf.block_cost)
+    }
+
     /// Builds the hierarchy over finite `boxes`, fewer than 2^31: the same tree for the same boxes on any number of threads.
     pub fn new(boxes: &[Aabb], leaf: LeafCost) -> Built {
         if boxes.is_empty() {
