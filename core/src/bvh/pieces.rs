@@ -109,8 +109,8 @@ struct Polygon {
 }
 
 impl Polygon {
-    /// Three, and one more for each plane: six of a box, and one through it.
-    const MOST: usize = 10;
+    /// Three, and one more for each plane, six of a box and one through it; and some to spare, should rounding bend an edge.
+    const MOST: usize = 16;
 
     fn new([a, b, c]: [DVec3; 3]) -> Self {
         let mut corners = [DVec3::ZERO; Self::MOST];
@@ -129,9 +129,8 @@ impl Polygon {
     fn clipped(&self, axis: usize, plane: f64, side: f64) -> Self {
         let mut part = Self { corners: [DVec3::ZERO; Self::MOST], count: 0 };
         let mut add = |corner: DVec3| {
-            // Of a convex polygon a plane leaves one corner more at most; rounding could make another, which is no loss beside one.
-            part.corners[part.count.min(Self::MOST - 1)] = corner;
-            part.count = (part.count + 1).min(Self::MOST);
+            part.corners[part.count] = corner;
+            part.count += 1;
         };
         let outside = |corner: DVec3| (corner[axis] - plane) * side;
         for i in 0..self.count {
@@ -147,8 +146,14 @@ impl Polygon {
         part
     }
 
+    /// Its box, rounded outwards.
     fn bounds(&self) -> Aabb {
-        self.corners[..self.count].iter().fold(Aabb::EMPTY, |all, corner| all.with(corner.as_vec3()))
+        let Aabb { min, max } =
+            self.corners[..self.count].iter().fold(Aabb::EMPTY, |all, corner| all.with(corner.as_vec3()));
+        Aabb {
+            min: Vec3::from_array(min.to_array().map(f32::next_down)),
+            max: Vec3::from_array(max.to_array().map(f32::next_up)),
+        }
     }
 }
 
