@@ -77,9 +77,11 @@ impl TriangleBvh {
         let whole = Built::new(&boxes, LEAF_COST);
         let cut = cut(&boxes, vertices);
         drop(boxes);
-        if let Some(Cut { boxes, references, pieces }) = cut {
+        let cost = whole.sah_cost(LEAF_COST);
+        // No second tree where cuts do not even promise half of what they have to make it cheaper by.
+        if let Some(Cut { boxes, references, pieces, .. }) = cut.filter(|cut| cut.saved >= 0.5 * (1.0 - worth) * cost) {
             let mut built = Built::new(&boxes, LEAF_COST);
-            if built.sah_cost(LEAF_COST) <= worth * whole.sah_cost(LEAF_COST) {
+            if built.sah_cost(LEAF_COST) <= worth * cost {
                 built.order.iter_mut().for_each(|i| *i = references[*i as usize]);
                 return Self::filled(built, count, pieces, vertices);
             }

@@ -61,6 +61,8 @@ pub struct Cut {
     /// What each box is of: the number of a triangle or, from the number of triangles on, that of a piece and this.
     pub references: Vec<u32>,
     pub pieces: Vec<Piece>,
+    /// What all cuts save, in parts of half the area of everything: about what the tree may cost less.
+    pub saved: f32,
 }
 
 /// So many pieces more than triangles at most: a share of the triangles.
@@ -69,9 +71,13 @@ const MORE: f32 = 0.3;
 /// surface which is as coarse everywhere is left alone.
 const LEAST_SAVED: f64 = 1e-5;
 
+fn volume(bounds: Aabb) -> f64 {
+    (bounds.max - bounds.min).as_dvec3().element_product()
+}
+
 /// How much else a box may hold besides a flat thing in it: its volume, as an area.
 fn fog(bounds: Aabb) -> f64 {
-    let side = libm::cbrt((bounds.max - bounds.min).as_dvec3().element_product());
+    let side = libm::cbrt(volume(bounds));
     side * side
 }
 
@@ -161,12 +167,13 @@ impl Polygon {
 pub fn cut(boxes: &[Aabb], vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Option<Cut> {
     let count = boxes.len();
     let all = boxes.par_iter().copied().reduce(|| Aabb::EMPTY, Aabb::union);
-    let least = f64::from(all.half_area()) * LEAST_SAVED.max(1.0 / count as f64);
+    let area = f64::from(all.half_area());
+    let least = area * LEAST_SAVED.max(1.0 / count as f64);
     let is_worth = |halves: &Halves| halves.saved > least;
-    let first = |i: usize| {
-        // No cut saves more than all.
-        (fog(boxes[i]) > least).then(|| halves(vertices(i as u32), boxes[i])).filter(is_worth)
-    };
+    // No cut saves more than all.
+    let least_volume = least * least.sqrt();
+    let first =
+        |i: usize| (volume(boxes[i]) > least_volume).then(|| halves(vertices(i as u32), boxes[i])).filter(is_worth);
     let found: Vec<(usize, Halves)> = (0..count).into_par_iter().filter_map(|i| Some((i, first(i)?))).collect();
     if found.is_empty() {
         return None;
@@ -176,12 +183,14 @@ pub fn cut(boxes: &[Aabb], vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Option
     // Bits of positive numbers are in their order. Of cuts that save as much, the first is made first.
     let rank = |piece: usize, halves: &Halves| (halves.saved.to_bits(), Reverse(piece));
     let mut waiting: BinaryHeap<_> = cuts.iter().enumerate().map(|(piece, halves)| rank(piece, halves)).collect();
+    let mut saved = 0.0;
     let most = pieces.len() + (count as f32 * MORE) as usize;
     while pieces.len() < most
         && let Some((_, Reverse(piece))) = waiting.pop()
     {
         let Piece { triangle, .. } = pieces[piece];
         let [below, above] = cuts[piece].halves;
+        saved += cuts[piece].saved;
         let other = pieces.len();
         pieces[piece].bounds = below;
         pieces.push(Piece { triangle, bounds: above });
@@ -191,19 +200,19 @@ pub fn cut(boxes: &[Aabb], vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Option
             waiting.extend(is_worth(&cuts[piece]).then(|| rank(piece, &cuts[piece])));
         }
     }
-    Some(Cut::new(boxes, pieces))
+    Some(Cut::new(boxes, pieces, (saved / area) as f32))
 }
 
 impl Cut {
     /// Of the boxes of whole triangles, and of pieces of some of them.
-    fn new(boxes: &[Aabb], pieces: Vec<Piece>) -> Self {
+    fn new(boxes: &[Aabb], pieces: Vec<Piece>, saved: f32) -> Self {
         let mut is_whole = vec![true; boxes.len()];
         pieces.iter().for_each(|piece| is_whole[piece.triangle as usize] = false);
         let count = boxes.len() as u32;
         let mut references: Vec<u32> = (0..count).filter(|&i| is_whole[i as usize]).collect();
         references.extend((count..).take(pieces.len()));
         let bounds = |&i: &u32| i.checked_sub(count).map_or_else(|| boxes[i as usize], |i| pieces[i as usize].bounds);
-        Self { boxes: references.iter().map(bounds).collect(), references, pieces }
+        Self { boxes: references.iter().map(bounds).collect(), references, pieces, saved }
     }
 }
 
@@ -244,7 +253,7 @@ mod tests {
     fn walls_across_the_axes_are_cut() {
         assert!(cut_room(&room(0.0)).is_none());
         let room = room(0.6);
-        let Cut { boxes, references, pieces } = cut_room(&room).expect("pieces");
+        let Cut { boxes, references, pieces, .. } = cut_room(&room).expect("pieces");
         assert!(boxes.len() - room.len() <= room.len() * 3 / 10, "{} pieces", pieces.len());
         assert!(pieces.iter().all(|piece| piece.triangle < WALLS));
         assert!(references.iter().copied().eq(WALLS..COUNT + pieces.len() as u32), "whole ones, then pieces");
