@@ -15,6 +15,18 @@ impl Aabb {
     /// The box of no points.
     pub const EMPTY: Aabb = Aabb { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
 
+    /// The smallest box that holds these points.
+    #[inline]
+    pub fn around(points: impl IntoIterator<Item = Vec3>) -> Aabb {
+        points.into_iter().fold(Aabb::EMPTY, Aabb::with)
+    }
+
+    /// Its longest side.
+    #[inline]
+    pub fn extent(self) -> f32 {
+        (self.max - self.min).max_element()
+    }
+
     /// The smallest box that holds both.
     pub fn union(self, other: Aabb) -> Aabb {
         Aabb { min: self.min.min(other.min), max: self.max.max(other.max) }

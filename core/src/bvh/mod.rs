@@ -75,11 +75,11 @@ impl TriangleBvh {
     fn build_with(count: u32, vertices: &(impl Fn(u32) -> [Vec3; 3] + Sync), worth: f32) -> Self {
         let boxes: Vec<Aabb> = (0..count).into_par_iter().map(|i| triangle_bounds(vertices(i))).collect();
         let whole = Built::new(&boxes, LEAF_COST);
-        let cut = cut(&boxes, vertices);
-        drop(boxes);
         let cost = whole.sah_cost(LEAF_COST);
         // No second tree where cuts do not even promise half of what they have to make it cheaper by.
-        if let Some(Cut { boxes, references, pieces, .. }) = cut.filter(|cut| cut.saved >= 0.5 * (1.0 - worth) * cost) {
+        let cut = cut(&boxes, whole.bvh.bounds(), 0.5 * (1.0 - worth) * cost, vertices);
+        drop(boxes);
+        if let Some(Cut { boxes, references, pieces }) = cut {
             let mut built = Built::new(&boxes, LEAF_COST);
             if built.sah_cost(LEAF_COST) <= worth * cost {
                 built.order.iter_mut().for_each(|i| *i = references[*i as usize]);
@@ -115,24 +115,26 @@ impl TriangleBvh {
         Blocks::new(ray, &self.blocks, self.references())
     }
 
+    /// Runs the loop that this mesh needs.
+    #[inline]
+    fn trace<L: Lanes, S: Search>(&self, lanes: L, search: S) -> S::Output {
+        if self.pieces.is_empty() {
+            lanes.run(Trace::<_, false>(self, search))
+        } else {
+            lanes.run(Trace::<_, true>(self, search))
+        }
+    }
+
     /// The nearest hit with `0 < t <= ray.t_max`, on either side of a triangle.
     #[inline]
     pub fn closest<L: Lanes>(&self, lanes: L, ray: &Ray) -> Option<TriangleHit> {
-        if self.pieces.is_empty() {
-            lanes.run(Closest::<false> { mesh: self, ray })
-        } else {
-            lanes.run(Closest::<true> { mesh: self, ray })
-        }
+        self.trace(lanes, Closest(ray))
     }
 
     /// Whether there is a hit with `0 < t <= ray.t_max`.
     #[inline]
     pub fn occluded<L: Lanes>(&self, lanes: L, ray: &Ray) -> bool {
-        if self.pieces.is_empty() {
-            lanes.run(Occluded::<false> { mesh: self, ray })
-        } else {
-            lanes.run(Occluded::<true> { mesh: self, ray })
-        }
+        self.trace(lanes, Occluded(ray))
     }
 
     /// [`TriangleBvh::closest`] of many rays at once, the same hits to the bit: up to twice as fast for rays that go
@@ -140,21 +142,13 @@ impl TriangleBvh {
     /// hundred rays a call are enough.
     #[inline]
     pub fn closest_many<L: Lanes>(&self, lanes: L, rays: &[Ray], hits: &mut [Option<TriangleHit>]) {
-        if self.pieces.is_empty() {
-            lanes.run(ClosestMany::<false> { mesh: self, rays, hits });
-        } else {
-            lanes.run(ClosestMany::<true> { mesh: self, rays, hits });
-        }
+        self.trace(lanes, ClosestMany { rays, hits });
     }
 
     /// [`TriangleBvh::occluded`] of many rays at once. `occluded` is as long as `rays`.
     #[inline]
     pub fn occluded_many<L: Lanes>(&self, lanes: L, rays: &[Ray], occluded: &mut [bool]) {
-        if self.pieces.is_empty() {
-            lanes.run(OccludedMany::<false> { mesh: self, rays, occluded });
-        } else {
-            lanes.run(OccludedMany::<true> { mesh: self, rays, occluded });
-        }
+        self.trace(lanes, OccludedMany { rays, occluded });
     }
 
     /// Size and quality.
@@ -182,71 +176,82 @@ pub struct Stats {
     pub sah_cost: f32,
 }
 
-/// [`TriangleBvh::closest`] as compiled for a path, with triangles in `PIECES` or without.
-struct Closest<'a, const PIECES: bool> {
-    mesh: &'a TriangleBvh,
-    ray: &'a Ray,
+/// What is asked of a mesh.
+trait Search {
+    type Output;
+
+    /// The answer, where triangles are in `PIECES` or none is.
+    fn of<L: Lanes, const PIECES: bool>(self, lanes: L, mesh: &TriangleBvh) -> Self::Output;
 }
 
-impl<const PIECES: bool> Kernel for Closest<'_, PIECES> {
+/// A search as compiled for a path, with triangles in `PIECES` or without.
+struct Trace<'a, S, const PIECES: bool>(&'a TriangleBvh, S);
+
+impl<S: Search, const PIECES: bool> Kernel for Trace<'_, S, PIECES> {
+    type Output = S::Output;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self, lanes: L) -> S::Output {
+        self.1.of::<L, PIECES>(lanes, self.0)
+    }
+}
+
+/// [`TriangleBvh::closest`].
+struct Closest<'a>(&'a Ray);
+
+impl Search for Closest<'_> {
     type Output = Option<TriangleHit>;
 
     #[inline(always)]
-    fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut blocks = self.mesh.against::<PIECES>(self.ray);
-        self.mesh.bvh.nearest(lanes, self.ray, &mut blocks);
+    fn of<L: Lanes, const PIECES: bool>(self, lanes: L, mesh: &TriangleBvh) -> Self::Output {
+        let mut blocks = mesh.against::<PIECES>(self.0);
+        mesh.bvh.nearest(lanes, self.0, &mut blocks);
         blocks.nearest.hit()
     }
 }
 
-/// [`TriangleBvh::occluded`] as compiled for a path.
-struct Occluded<'a, const PIECES: bool> {
-    mesh: &'a TriangleBvh,
-    ray: &'a Ray,
-}
+/// [`TriangleBvh::occluded`].
+struct Occluded<'a>(&'a Ray);
 
-impl<const PIECES: bool> Kernel for Occluded<'_, PIECES> {
+impl Search for Occluded<'_> {
     type Output = bool;
 
     #[inline(always)]
-    fn run<L: Lanes>(self, lanes: L) -> Self::Output {
-        let mut blocks = self.mesh.against::<PIECES>(self.ray);
-        self.mesh.bvh.any(lanes, self.ray, &mut blocks)
+    fn of<L: Lanes, const PIECES: bool>(self, lanes: L, mesh: &TriangleBvh) -> bool {
+        mesh.bvh.any(lanes, self.0, &mut mesh.against::<PIECES>(self.0))
     }
 }
 
-/// [`TriangleBvh::closest_many`] as compiled for a path.
-struct ClosestMany<'a, const PIECES: bool> {
-    mesh: &'a TriangleBvh,
+/// [`TriangleBvh::closest_many`].
+struct ClosestMany<'a> {
     rays: &'a [Ray],
     hits: &'a mut [Option<TriangleHit>],
 }
 
-impl<const PIECES: bool> Kernel for ClosestMany<'_, PIECES> {
+impl Search for ClosestMany<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self, lanes: L) {
-        let start = |ray: &Ray| self.mesh.against::<PIECES>(ray);
+    fn of<L: Lanes, const PIECES: bool>(self, lanes: L, mesh: &TriangleBvh) {
+        let start = |ray: &Ray| mesh.against::<PIECES>(ray);
         let finish = |index: usize, blocks: &Blocks<PIECES>| self.hits[index] = blocks.nearest.hit();
-        self.mesh.bvh.nearest_many(lanes, self.rays, start, finish);
+        mesh.bvh.nearest_many(lanes, self.rays, start, finish);
     }
 }
 
-/// [`TriangleBvh::occluded_many`] as compiled for a path.
-struct OccludedMany<'a, const PIECES: bool> {
-    mesh: &'a TriangleBvh,
+/// [`TriangleBvh::occluded_many`].
+struct OccludedMany<'a> {
     rays: &'a [Ray],
     occluded: &'a mut [bool],
 }
 
-impl<const PIECES: bool> Kernel for OccludedMany<'_, PIECES> {
+impl Search for OccludedMany<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run<L: Lanes>(self, lanes: L) {
-        let start = |ray: &Ray| self.mesh.against::<PIECES>(ray);
+    fn of<L: Lanes, const PIECES: bool>(self, lanes: L, mesh: &TriangleBvh) {
+        let start = |ray: &Ray| mesh.against::<PIECES>(ray);
         let finish = |index: usize, any| self.occluded[index] = any;
-        self.mesh.bvh.any_many(lanes, self.rays, start, finish);
+        mesh.bvh.any_many(lanes, self.rays, start, finish);
     }
 }

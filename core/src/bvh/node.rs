@@ -126,13 +126,18 @@ impl Bvh8 {
         (self.nodes.len(), size_of_val(self.nodes.as_slice()))
     }
 
+    /// The box of everything; empty where there is nothing.
+    pub(super) fn bounds(&self) -> Aabb {
+        self.nodes.first().map_or(Aabb::EMPTY, |root| {
+            root.occupied().fold(Aabb::EMPTY, |all, slot| all.union(root.slot_bounds(slot)))
+        })
+    }
+
     /// What an average ray that hits the root's box costs by the surface area heuristic: the sum of area ratio times
     /// `node_cost` over nodes, and of area ratio times `leaf_cost` over leaves. 0 for an empty hierarchy.
     pub fn sah_cost(&self, node_cost: f32, leaf_cost: impl Fn(Leaf) -> f32) -> f32 {
-        let root = self.nodes.first().map_or(Aabb::EMPTY, |root| {
-            root.occupied().fold(Aabb::EMPTY, |all, slot| all.union(root.slot_bounds(slot)))
-        });
-        if root.half_area() <= 0.0 {
+        let area = self.bounds().half_area();
+        if area <= 0.0 {
             return 0.0;
         }
         let below: f32 = self
@@ -144,7 +149,7 @@ impl Bvh8 {
                 node.slot_bounds(slot).half_area() * cost
             })
             .sum();
-        node_cost + below / root.half_area()
+        node_cost + below / area
     }
 
     /// The most children that a traversal has to postpone: along the worst way down, all siblings at each level.

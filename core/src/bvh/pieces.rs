@@ -61,8 +61,6 @@ pub struct Cut {
     /// What each box is of: the number of a triangle or, from the number of triangles on, that of a piece and this.
     pub references: Vec<u32>,
     pub pieces: Vec<Piece>,
-    /// What all cuts save, in parts of half the area of everything: about what the tree may cost less.
-    pub saved: f32,
 }
 
 /// So many pieces more than triangles at most: a share of the triangles.
@@ -91,8 +89,7 @@ struct Halves {
 /// The best cut through the middle of the box of a triangle's part.
 fn halves(triangle: [Vec3; 3], bounds: Aabb) -> Halves {
     let part = Polygon::new(triangle.map(Vec3::as_dvec3)).within(bounds);
-    let extent = triangle.iter().fold(Aabb::EMPTY, |all, &corner| all.with(corner));
-    let extent = (extent.max - extent.min).max_element();
+    let extent = Aabb::around(triangle).extent();
     let middle = bounds.centre();
     let cut = |axis: usize| {
         let half = |side: f64| {
@@ -154,8 +151,7 @@ impl Polygon {
 
     /// Its box, rounded outwards.
     fn bounds(&self) -> Aabb {
-        let Aabb { min, max } =
-            self.corners[..self.count].iter().fold(Aabb::EMPTY, |all, corner| all.with(corner.as_vec3()));
+        let Aabb { min, max } = Aabb::around(self.corners[..self.count].iter().map(|corner| corner.as_vec3()));
         Aabb {
             min: Vec3::from_array(min.to_array().map(f32::next_down)),
             max: Vec3::from_array(max.to_array().map(f32::next_up)),
@@ -163,10 +159,10 @@ impl Polygon {
     }
 }
 
-/// Cuts what is worth it; none where nothing is. `boxes` are those of the triangles, whose vertices `vertices` gives.
-pub fn cut(boxes: &[Aabb], vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Option<Cut> {
+/// Cuts what is worth it; none where nothing is, or where all cuts save less than `promised`, in parts of half the area of `all`: about what a
+/// tree may cost less. `boxes` are those of the triangles, whose vertices `vertices` gives.
+pub fn cut(boxes: &[Aabb], all: Aabb, promised: f32, vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Option<Cut> {
     let count = boxes.len();
-    let all = boxes.par_iter().copied().reduce(|| Aabb::EMPTY, Aabb::union);
     let area = f64::from(all.half_area());
     let least = area * LEAST_SAVED.max(1.0 / count as f64);
     let is_worth = |halves: &Halves| halves.saved > least;
@@ -200,19 +196,19 @@ pub fn cut(boxes: &[Aabb], vertices: impl Fn(u32) -> [Vec3; 3] + Sync) -> Option
             waiting.extend(is_worth(&cuts[piece]).then(|| rank(piece, &cuts[piece])));
         }
     }
-    Some(Cut::new(boxes, pieces, (saved / area) as f32))
+    (saved >= area * f64::from(promised)).then(|| Cut::new(boxes, pieces))
 }
 
 impl Cut {
     /// Of the boxes of whole triangles, and of pieces of some of them.
-    fn new(boxes: &[Aabb], pieces: Vec<Piece>, saved: f32) -> Self {
+    fn new(boxes: &[Aabb], pieces: Vec<Piece>) -> Self {
         let mut is_whole = vec![true; boxes.len()];
         pieces.iter().for_each(|piece| is_whole[piece.triangle as usize] = false);
         let count = boxes.len() as u32;
         let mut references: Vec<u32> = (0..count).filter(|&i| is_whole[i as usize]).collect();
         references.extend((count..).take(pieces.len()));
         let bounds = |&i: &u32| i.checked_sub(count).map_or_else(|| boxes[i as usize], |i| pieces[i as usize].bounds);
-        Self { boxes: references.iter().map(bounds).collect(), references, pieces, saved }
+        Self { boxes: references.iter().map(bounds).collect(), references, pieces }
     }
 }
 
@@ -244,7 +240,8 @@ mod tests {
 
     fn cut_room(room: &[[Vec3; 3]]) -> Option<Cut> {
         let boxes: Vec<Aabb> = room.iter().map(|&triangle| triangle_bounds(triangle)).collect();
-        cut(&boxes, |i| room[i as usize])
+        let all = boxes.iter().fold(Aabb::EMPTY, |all, &bounds| all.union(bounds));
+        cut(&boxes, all, 0.0, |i| room[i as usize])
     }
 
     /// A wall along the axes stays whole; one across them is in pieces, which hold every point of it and are not more than may be. All
@@ -253,7 +250,7 @@ mod tests {
     fn walls_across_the_axes_are_cut() {
         assert!(cut_room(&room(0.0)).is_none());
         let room = room(0.6);
-        let Cut { boxes, references, pieces, .. } = cut_room(&room).expect("pieces");
+        let Cut { boxes, references, pieces } = cut_room(&room).expect("pieces");
         assert!(boxes.len() - room.len() <= room.len() * 3 / 10, "{} pieces", pieces.len());
         assert!(pieces.iter().all(|piece| piece.triangle < WALLS));
         assert!(references.iter().copied().eq(WALLS..COUNT + pieces.len() as u32), "whole ones, then pieces");

@@ -3,7 +3,8 @@
 //! The ray is sheared onto the axis where it is longest. The sign of an edge function `a*b - c*d` of two rounded
 //! products is never wrong, only possibly zero, and zero counts as inside, so no ray passes between triangles that share
 //! an edge. A hit counts only where the ray passes the triangle's own box ([`triangle_bounds`]), and is no nearer than the entry
-//! into it (of what is cut into pieces, into the piece's); both change nothing but the rounding of triangles seen edge-on, and make the answer independent of the tree.
+//! into it (of what is cut into pieces, into the piece's); both change nothing but the rounding of triangles seen edge-on, and make the
+//! answer independent of the tree.
 //!
 //! Whether a triangle lies ahead of the ray's origin is decided in f64 where f32 may be wrong: a ray that leaves a thin triangle, or starts
 //! just before one, starts nearer to its plane than t is known.
@@ -92,9 +93,8 @@ fn is_sliver([a, b, c]: [Vec3; 3]) -> bool {
 
 /// The box of a triangle, padded so that a ray which passes the triangle up to rounding passes the box.
 pub fn triangle_bounds(vertices: [Vec3; 3]) -> Aabb {
-    let [a, b, c] = vertices;
-    let tight = Aabb { min: a.min(b).min(c), max: a.max(b).max(c) };
-    padded(tight, (tight.max - tight.min).max_element())
+    let tight = Aabb::around(vertices);
+    padded(tight, tight.extent())
 }
 
 /// A box of something of this extent that the test of triangles moves by rounding.

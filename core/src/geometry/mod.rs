@@ -220,7 +220,7 @@ impl Geometry {
                 let (min, max) = self.analytic[index as usize].bounds();
                 Aabb { min, max }
             }
-            None => self.vertices(primitive).into_iter().fold(Aabb::EMPTY, Aabb::with),
+            None => Aabb::around(self.vertices(primitive)),
         }
     }
 

@@ -227,7 +227,7 @@ fn union_of_cones(a: (Vec3, f32), b: (Vec3, f32)) -> (Vec3, f32) {
 /// none if no plane parts them.
 fn split(lights: &[Reach], order: &mut [u32]) -> Option<usize> {
     let centre = |i: u32| lights[i as usize].bounds.centre();
-    let centres = order.iter().fold(Aabb::EMPTY, |all, &i| all.with(centre(i)));
+    let centres = Aabb::around(order.iter().map(|&i| centre(i)));
     let size = centres.max - centres.min;
     let largest = size.max_element();
     let bin_of = |i: u32, axis: usize| {

@@ -139,8 +139,7 @@ impl Costs<'_> {
         if count > self.leaf.max_count {
             return f32::INFINITY;
         }
-        let blocks = count.div_ceil(self.leaf.block) as f32;
-        self.tree.bounds(twig).half_area() * blocks * self.leaf.block_cost
+        self.tree.bounds(twig).half_area() * self.leaf.of(count)
     }
 }
 

@@ -38,7 +38,7 @@ pub fn cut<'o>(boxes: &[Aabb], order: &'o mut [u32], most: usize) -> Vec<&'o mut
 /// Parts the indices in two, and says where the second begins.
 fn split(boxes: &[Aabb], order: &mut [u32]) -> usize {
     let centre = |i: u32| boxes[i as usize].centre();
-    let centres = order.iter().fold(Aabb::EMPTY, |all, &i| all.with(centre(i)));
+    let centres = Aabb::around(order.iter().map(|&i| centre(i)));
     let extent = centres.max - centres.min;
     let axis = extent.max_position();
     let to_bins = BINS as f32 / extent[axis];

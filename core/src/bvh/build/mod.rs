@@ -27,6 +27,13 @@ pub struct LeafCost {
     pub block_cost: f32,
 }
 
+impl LeafCost {
+    /// What a leaf of so many primitives costs, in visits of a node.
+    fn of(&self, count: u32) -> f32 {
+        count.div_ceil(self.block) as f32 * self.block_cost
+    }
+}
+
 /// A hierarchy whose leaves are runs of `order`.
 pub struct Built {
     /// The nodes.
@@ -38,7 +45,7 @@ pub struct Built {
 impl Built {
     /// [`Bvh8::sah_cost`] where leaves cost this.
     pub fn sah_cost(&self, leaf: LeafCost) -> f32 {
-        self.bvh.sah_cost(1.0, |run| run.count.div_ceil(leaf.block) as f32 * leaf.block_cost)
+        self.bvh.sah_cost(1.0, |run| leaf.of(run.count))
     }
 
     /// Builds the hierarchy over finite `boxes`, fewer than 2^31: the same tree for the same boxes on any number of threads.
